@@ -1,0 +1,44 @@
+# `make train` and `make test` do all their set-up; see README.md.
+PYTHON ?= python3.11
+BIN := .venv/bin
+
+TASK ?= inverted_pendulum
+LEARNER ?= reskpn
+STEPS ?=
+ACTORS ?= 2
+SEED ?= 0
+PHYSICS ?= auto
+ARGS ?=
+
+.PHONY: help setup train test test-slow lint bench lock clean
+
+help:  ## what can be made
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
+
+setup: .venv/.ready  ## the virtual environment .venv with everything in it
+
+.venv/.ready: requirements/dev.txt pyproject.toml scripts/setup.sh
+	@PYTHON=$(PYTHON) sh scripts/setup.sh
+	@touch $@
+
+train: setup  ## train; TASK=hopper LEARNER=ppo STEPS=3e6 ACTORS=1 SEED=0 PHYSICS=auto ARGS="--help"
+	@$(BIN)/reskpn train --task $(TASK) --learner $(LEARNER) --actors $(ACTORS) --seed $(SEED) --physics $(PHYSICS) \
+		$(if $(STEPS),--total-steps $(STEPS)) $(ARGS)
+
+test: setup  ## all tests that fit in a few minutes
+	@$(BIN)/python -m pytest
+
+lint: setup  ## style, types and import rules
+	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
+
+bench: setup  ## steps/s in one process and through the service, and where the time goes
+	@$(BIN)/python -m benchmarks.service
+
+lock:  ## pin the requirements anew
+	@$(BIN)/uv pip compile -q --python-version 3.11 --universal --generate-hashes --no-emit-index-url --no-header \
+		pyproject.toml -o requirements/run.txt
+	@$(BIN)/uv pip compile -q --python-version 3.11 --universal --generate-hashes --no-emit-index-url --no-header \
+		--extra dev -c requirements/run.txt pyproject.toml -o requirements/dev.txt
+
+clean:  ## remove the environment and caches, not the runs
+	@rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

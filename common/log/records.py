@@ -1,0 +1,183 @@
+"""What the log of a run holds: its channels as one table, and a message as it is read back.
+
+JSON channels carry a JSON schema, so that Foxglove plots them. Its importer wants one type name for a type,
+`properties` for every object and `items` for every array; the schemas keep to that. Fields that a schema does not
+name are allowed everywhere. Rollouts and policies are msgpack and stay bytes here: who wants their content decodes
+them with `common.wire`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from common.errors import LogReadError
+
+Encoding = Literal["json", "msgpack"]
+Schema = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class ChannelSpec:
+    """One channel of the log. `schema` is a JSON schema for "json" and None for "msgpack"."""
+
+    topic: str
+    encoding: Encoding
+    schema: Schema | None = None
+
+    @property
+    def schema_name(self) -> str:
+        """Name of the schema in the file, as "reskpn.update" for /update."""
+        return "reskpn." + self.topic.removeprefix("/")
+
+
+@dataclass(frozen=True, slots=True)
+class LogMessage:
+    """One message, as it was written.
+
+    `t_ns` is the writer's clock in nanoseconds; `sequence` counts the messages of one segment from 0.
+    """
+
+    topic: str
+    t_ns: int
+    sequence: int
+    data: bytes
+
+    def json(self) -> Any:
+        """The content of a message of a JSON channel.
+
+        Raises:
+            LogReadError: the bytes are not JSON, as those of /rollout and /policy are not.
+        """
+        try:
+            return json.loads(self.data)
+        except ValueError as error:
+            raise LogReadError(f"message {self.sequence} of {self.topic} is not JSON: {error}") from error
+
+
+def _integer(description: str) -> Schema:
+    return {"type": "integer", "description": description}
+
+
+def _number(description: str) -> Schema:
+    return {"type": "number", "description": description}
+
+
+def _string(description: str) -> Schema:
+    return {"type": "string", "description": description}
+
+
+def _object(description: str, **properties: Schema) -> Schema:
+    return {"type": "object", "description": description, "properties": properties}
+
+
+def _numbers(description: str) -> Schema:
+    return {**_object(description), "additionalProperties": {"type": "number"}}
+
+
+def _array(description: str, items: Schema) -> Schema:
+    return {"type": "array", "description": description, "items": items}
+
+
+_SPEC = _object("The settings of the run and the versions of its software.")
+
+_ROLLOUT_USED = _object(
+    "Names one message of /rollout.",
+    slot=_integer("slot of the actor"),
+    incarnation=_string("life of the actor in that slot"),
+    seq=_integer("number of the rollout in that life"),
+    policy_version=_integer("version of the policy that acted"),
+)
+
+_UPDATE = _object(
+    "One update of the learner.",
+    version=_integer("version that results"),
+    env_steps=_integer("environment steps used since the start of the run"),
+    rollouts=_array("the rollouts used, in the order of use", _ROLLOUT_USED),
+    state_digest=_string("digest of the state that results, hexadecimal"),
+    metrics=_numbers("metrics of the update by name; null where not finite"),
+    seconds=_numbers("seconds spent by phase of the update"),
+    staleness=_object(
+        "Versions between the policy that acted and the one updated.",
+        min=_number("least over the rollouts used"),
+        mean=_number("mean over the rollouts used"),
+        max=_number("greatest over the rollouts used"),
+    ),
+)
+
+_EPISODE = _object(
+    "The training episodes that ended in the rollouts of one update.",
+    version=_integer("version that resulted from the update"),
+    count=_integer("episodes"),
+    return_mean=_number("mean return"),
+    return_min=_number("least return"),
+    return_max=_number("greatest return"),
+    length_mean=_number("mean length in steps"),
+)
+
+_EVENT = _object(
+    "Something that happened to the run. Further fields depend on the name.",
+    level=_string("info, warning or error"),
+    name=_string("what happened, one slug to filter by"),
+    text=_string("the same as a sentence"),
+)
+
+_EVAL = _object(
+    "Episodes of a published policy without exploration.",
+    version=_integer("version of the policy"),
+    episodes=_integer("episodes"),
+    return_mean=_number("mean return"),
+    return_std=_number("standard deviation of the return"),
+    length_mean=_number("mean length in steps"),
+)
+
+_HEARTBEAT = _object(
+    "The state of an actor, as it last told it.",
+    slot=_integer("slot of the actor"),
+    incarnation=_string("life of the actor in that slot"),
+    state=_string("what it does, such as compiling or running"),
+    policy_version=_integer("version it acts with"),
+    env_steps=_integer("environment steps since it started"),
+    env_steps_per_s=_number("environment steps a second of late"),
+)
+
+CHANNELS: dict[str, ChannelSpec] = {
+    channel.topic: channel
+    for channel in (
+        ChannelSpec("/spec", "json", _SPEC),
+        ChannelSpec("/rollout", "msgpack"),
+        ChannelSpec("/update", "json", _UPDATE),
+        ChannelSpec("/policy", "msgpack"),
+        ChannelSpec("/episode", "json", _EPISODE),
+        ChannelSpec("/event", "json", _EVENT),
+        ChannelSpec("/eval", "json", _EVAL),
+        ChannelSpec("/heartbeat", "json", _HEARTBEAT),
+    )
+}
+"""Every channel by topic, in the order in which a segment declares them."""
+
+
+def encode_json(content: Mapping[str, Any]) -> bytes:
+    """The bytes of a message of a JSON channel. Numbers that are not finite become null: JSON has no NaN.
+
+    Raises:
+        TypeError: a value is not a JSON type (arrays and NumPy scalars are not).
+    """
+    try:
+        text = json.dumps(dict(content), separators=(",", ":"), allow_nan=False)
+    except ValueError:
+        text = json.dumps(_finite(content), separators=(",", ":"), allow_nan=False)
+    return text.encode()
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return value

@@ -1,0 +1,116 @@
+"""Repair of a log whose writer was killed: every segment without a footer is made whole again."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from common.errors import LogReadError
+from common.log.failures import write_failure
+from common.log.framing import TornTail
+from common.log.records import CHANNELS
+from common.log.segment_reader import SegmentReader
+from common.log.segment_writer import SegmentWriter
+from common.log.segments import WriterLock, find_segments, sync_directory
+
+_COPY_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class RepairedSegment:
+    """A segment that was rewritten with its `messages`.
+
+    `dropped_bytes` of an incomplete record at its end were put aside in the file `torn_path`; None if there were none.
+    """
+
+    path: Path
+    messages: int
+    dropped_bytes: int
+    torn_path: Path | None
+
+
+@dataclass(frozen=True)
+class RepairReport:
+    """What a repair did; empty where every segment was whole."""
+
+    segments: tuple[RepairedSegment, ...]
+
+
+def repair(path: Path) -> RepairReport:
+    """Rewrite the torn segments of a log from their complete chunks; whole segments are not touched.
+
+    Each is written beside the torn file, synced, and only then renamed over it, so an interruption loses nothing. It
+    needs as much free space as the largest torn segment.
+
+    Args:
+        path: a run directory, its log directory, or one .mcap file.
+
+    Raises:
+        LogReadError: there is no log, or a torn segment is also damaged before its end.
+        LogWriteError: a learner is writing the log, or the repaired file cannot be written.
+    """
+    directory = find_segments(path)[0].parent
+    try:
+        lock = WriterLock(directory)
+    except OSError as error:
+        raise write_failure(directory, error) from error
+    with lock:
+        # Looked up again: before it was locked, a writer may have finished or begun a segment.
+        segments = [SegmentReader(segment) for segment in find_segments(path)]
+        return RepairReport(
+            tuple(_repair_segment(segment, segment.torn) for segment in segments if segment.torn is not None)
+        )
+
+
+def _repair_segment(segment: SegmentReader, torn: TornTail) -> RepairedSegment:
+    beside = segment.path.with_name(segment.path.name + ".repair")
+    try:
+        beside.unlink(missing_ok=True)
+        messages = _rewrite(segment, beside)
+        torn_path = _put_aside(torn) if torn.dropped_bytes else None
+        os.replace(beside, segment.path)
+        sync_directory(segment.path.parent)
+    except OSError as error:
+        failure = write_failure(beside, error)
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
+        raise failure from error
+    return RepairedSegment(segment.path, messages, torn.dropped_bytes, torn_path)
+
+
+def _put_aside(torn: TornTail) -> Path:
+    aside = torn.path.with_name(torn.path.name + ".torn")
+    with open(torn.path, "rb") as source, open(aside, "wb") as target:
+        source.seek(torn.good_bytes)
+        while block := source.read(_COPY_BYTES):
+            target.write(block)
+        target.flush()
+        os.fsync(target.fileno())
+    return aside
+
+
+def _rewrite(segment: SegmentReader, beside: Path) -> int:
+    copy = SegmentWriter(
+        beside,
+        compression="none" if segment.compression == "none" else "lz4",
+        metadata=segment.metadata(),
+        attachments=segment.attachments(),
+        t_ns=0,  # MCAP's value for a time that is not known: that of an attachment is not kept
+    )
+    try:
+        for message in segment.messages():
+            if message.topic not in CHANNELS:
+                raise LogReadError(
+                    f"{segment.path} has the channel {message.topic!r}, which this version does not know; repair it "
+                    "with the version that wrote it"
+                )
+            copy.add(message.topic, message.t_ns, message.data)
+        copy.finish()
+    except (OSError, LogReadError):
+        copy.abandon()
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
+        raise
+    return copy.messages

@@ -1,0 +1,85 @@
+"""The policy's RKHS part h = sum_i w_i K(c_i, .): centres frozen when added, weights that move.
+
+The arrays have their full capacity M from the start, so growth neither recompiles nor reallocates. A row not
+used yet has weight zero, which makes its kernel value irrelevant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float, Int
+
+from common.maths.kernels import Kernel, gram
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Expansion:
+    """A function of the RKHS with values in R^A: what acting needs."""
+
+    centres: Float[Array, "M d"]
+    weights: Float[Array, "M A"]
+
+    @property
+    def capacity(self) -> int:
+        return self.centres.shape[0]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Momentum:
+    """What the functional gradient step keeps from one update to the next.
+
+    velocity: the moving average of the functional gradient, in coefficients of the expansion's centres.
+    added: centres added since the start; the newest stands in row (added - 1) mod M.
+    """
+
+    velocity: Float[Array, "M A"]
+    added: Int[Array, ""]
+
+
+def empty(capacity: int, feature_size: int, action_size: int) -> tuple[Expansion, Momentum]:
+    """h = 0, with room for `capacity` centres."""
+    weights = jnp.zeros((capacity, action_size), jnp.float32)
+    centres = jnp.zeros((capacity, feature_size), jnp.float32)
+    return Expansion(centres, weights), Momentum(weights, jnp.zeros((), jnp.int32))
+
+
+def size(expansion: Expansion, momentum: Momentum) -> Int[Array, ""]:
+    """Centres in use."""
+    return jnp.minimum(momentum.added, expansion.capacity)
+
+
+def evaluate(expansion: Expansion, kernel: Kernel, features: Float[Array, "B d"]) -> Float[Array, "B A"]:
+    """h at the features, already scaled for the kernel."""
+    return gram(kernel, features, expansion.centres) @ expansion.weights
+
+
+def step(
+    expansion: Expansion,
+    momentum: Momentum,
+    features: Float[Array, "n d"],
+    coefficients: Float[Array, "n A"],
+    *,
+    decay: float,
+) -> tuple[Expansion, Momentum]:
+    """One functional gradient step (paper, equation 8 and Table 1's "Adam for RKHS").
+
+    The gradient is g = sum_k alpha_k K(c_k, .). With the moving average `v <- decay v + (1 - decay) g` the
+    function becomes h + v; centres, weights and average are kept in coefficients. A full expansion gives up its
+    oldest centres, and what they contributed to h and v.
+
+    Args:
+        features: the new centres c_k.
+        coefficients: alpha_k, step size included.
+    """
+    rows = (momentum.added + jnp.arange(features.shape[0])) % expansion.capacity
+    centres = expansion.centres.at[rows].set(features)
+    velocity = decay * momentum.velocity.at[rows].set(0.0)
+    velocity = velocity.at[rows].add((1.0 - decay) * coefficients)
+    weights = expansion.weights.at[rows].set(0.0) + velocity
+    return Expansion(centres, weights), Momentum(velocity, momentum.added + features.shape[0])

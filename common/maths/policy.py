@@ -1,0 +1,81 @@
+"""The policy as it acts: N(h(psi(o)) + mu(psi(o)), Sigma) (paper, equation 5 and section 3.3).
+
+The learner's update and the actors call the same functions, so both see the same numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from common.maths import expansion as expansions
+from common.maths import running
+from common.maths.expansion import Expansion
+from common.maths.kernels import Kernel
+from common.maths.networks import Networks, Parameters
+from common.maths.running import Moments
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Policy:
+    """All that acting needs: a snapshot is one of these."""
+
+    parameters: Parameters
+    expansion: Expansion
+    observations: Moments
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Mean:
+    """The policy mean m = h + mu in its parts, and the features it is made from.
+
+    features: z / sqrt(d), the input of the kernel.
+    """
+
+    features: Float[Array, "B d"]
+    rkhs: Float[Array, "B A"]
+    residual: Float[Array, "B A"]
+    log_std: Float[Array, "A"]
+
+    @property
+    def total(self) -> Float[Array, "B A"]:
+        return self.rkhs + self.residual
+
+
+def evaluate(
+    networks: Networks,
+    kernel: Kernel,
+    parameters: Parameters,
+    expansion: Expansion,
+    observation: Float[Array, "B O"],
+) -> Mean:
+    """The mean at standardised observations. With capacity 0 there is no h, and nothing is computed for it."""
+    network = networks.bind_policy(parameters)
+    z = network.features(observation)
+    features = z * (networks.feature_size**-0.5)
+    residual = network.residual(z)
+    if expansion.capacity:
+        rkhs = expansions.evaluate(expansion, kernel, features)
+    else:
+        rkhs = jnp.zeros_like(residual)
+    return Mean(features, rkhs, residual, network.log_std[...])
+
+
+def act(
+    networks: Networks,
+    kernel: Kernel,
+    policy: Policy,
+    observation: Float[Array, "B O"],
+    *,
+    normalise: bool,
+) -> Mean:
+    """The mean at raw observations, whitened by the snapshot's moments where the run normalises them."""
+    if normalise:
+        observation = running.standardise(policy.observations, observation)
+    return evaluate(networks, kernel, policy.parameters, policy.expansion, observation)

@@ -1,0 +1,97 @@
+"""Everything the learner is between two updates: one frozen tree, kept whole in a checkpoint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+from jaxtyping import Bool, Float, Int, UInt32
+
+from common.maths import expansion as expansions
+from common.maths import running
+from common.maths.expansion import Expansion, Momentum
+from common.maths.networks import Networks, Parameters
+from common.maths.policy import Policy
+from common.maths.running import Moments
+from common.settings import AlgorithmSettings
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LearnerState:
+    """State of the learner after `version` updates.
+
+    discounted: forward-discounted return of every environment of every slot, for the scale of the rewards.
+    key: threefry key data; update v draws only from `fold_in(key, v)`.
+    """
+
+    parameters: Parameters
+    optimiser: optax.OptState
+    expansion: Expansion
+    momentum: Momentum
+    observations: Moments
+    returns: Moments
+    discounted: Float[Array, "S N"]
+    key: UInt32[Array, "2"]
+    version: Int[Array, ""]
+
+    @property
+    def policy(self) -> Policy:
+        return Policy(self.parameters["policy"], self.expansion, self.observations)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Batch:
+    """The K rollouts of an update side by side: E = K * N environments, rollouts in the order of `slot`.
+
+    cut_observation: where a truncation happened, the observation the episode was cut at; zero elsewhere.
+    fresh: whether a rollout is the first one of new environments.
+    """
+
+    observation: Float[Array, "T E O"]
+    action: Float[Array, "T E A"]
+    log_prob: Float[Array, "T E"]
+    reward: Float[Array, "T E"]
+    terminated: Bool[Array, "T E"]
+    truncated: Bool[Array, "T E"]
+    last_observation: Float[Array, "E O"]
+    cut_observation: Float[Array, "E O"]
+    slot: Int[Array, "K"]
+    fresh: Bool[Array, "K"]
+
+
+def make_optimiser(algorithm: AlgorithmSettings) -> optax.GradientTransformation:
+    """Adam behind a clip of the global gradient norm (paper, Table 1)."""
+    return optax.chain(
+        optax.clip_by_global_norm(algorithm.max_grad_norm),
+        optax.adam(algorithm.learning_rate, eps=algorithm.adam_eps),
+    )
+
+
+def initial_state(
+    networks: Networks,
+    parameters: Parameters,
+    algorithm: AlgorithmSettings,
+    *,
+    capacity: int,
+    slots: int,
+    envs_per_slot: int,
+    seed: int,
+) -> LearnerState:
+    """The state before the first update: h = 0, nothing observed."""
+    expansion, momentum = expansions.empty(capacity, networks.feature_size, networks.action_size)
+    return LearnerState(
+        parameters=parameters,
+        optimiser=make_optimiser(algorithm).init(parameters),
+        expansion=expansion,
+        momentum=momentum,
+        observations=running.start((networks.observation_size,)),
+        returns=running.start(()),
+        discounted=jnp.zeros((slots, envs_per_slot), jnp.float32),
+        key=jax.random.key_data(jax.random.fold_in(jax.random.key(seed), 0x5EED)),
+        version=jnp.zeros((), jnp.int32),
+    )

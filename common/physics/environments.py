@@ -1,0 +1,212 @@
+"""The eight tasks as batches of environments that restart by themselves.
+
+Observations, rewards and ends are those of `brax.envs`. What this module adds, in this order, to every step:
+actions are clipped to [-1, 1]; a simulation that diverged is ended; an episode is truncated at its length; an
+environment whose episode ended goes back to its first state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from common.errors import SettingsError
+from common.physics.bodies import Bodies, Engine
+from common.physics.engines import MJX, resolve_physics
+from common.physics.libraries import envs
+from common.physics.mjx import MjxEngine
+from common.physics.models import c_model, load_task
+from common.physics.native import NativeEngine
+from common.tasks import EPISODE_LENGTH
+
+LARGEST = 1e10
+"""Joint positions, velocities and accelerations beyond this have diverged: MuJoCo's own limit (`mjMAXVAL`)."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class EnvState:
+    """All that the next step of N environments depends on. A pytree of arrays with the batch axis in front."""
+
+    bodies: Bodies
+    obs: jax.Array
+    """[N, O] float32."""
+    first_bodies: Bodies
+    """Where each environment goes back to when an episode ends."""
+    first_obs: jax.Array
+    """[N, O] float32."""
+    steps: jax.Array
+    """[N] int32, steps of the episode so far."""
+    episode_return: jax.Array
+    """[N] float32, undiscounted sum of the episode's rewards so far."""
+    diverged: jax.Array
+    """[N] int32, how many times this environment's simulation diverged since `reset`."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Transition:
+    """What one step of N environments gave."""
+
+    obs: jax.Array
+    """[N, O] float32, after the step; where an episode ended, the first of the next one."""
+    reward: jax.Array
+    """[N] float32."""
+    terminated: jax.Array
+    """[N] bool, the task ended the episode, or its simulation diverged: what follows is worth 0."""
+    truncated: jax.Array
+    """[N] bool, the episode reached its length without being terminated: bootstrap from `final_obs`."""
+    final_obs: jax.Array
+    """[N, O] float32, after the step and before going back to the first state."""
+    episode_return: jax.Array
+    """[N] float32, of the episode that ended at this step; 0 where none did."""
+    episode_length: jax.Array
+    """[N] int32, likewise."""
+
+
+class BatchedEnvironment:
+    """N environments of one task. `reset` and `step` are pure, for use under `jax.jit` and in `jax.lax.scan`.
+
+    They are compiled when called from outside a compiled function, too: one compilation each.
+    """
+
+    def __init__(self, task: Any, engine: Engine, num_envs: int, episode_length: int) -> None:
+        """`task` is a brax environment; its physics is replaced by `engine`."""
+        task.pipeline_init = lambda q, qd, act=None, ctrl=None: engine.reset(q, qd)
+        task.pipeline_step = engine.step
+        self._task = task
+        self._engine = engine
+        self._episode_length = episode_length
+        self.num_envs = num_envs
+        self.physics = engine.name
+        self.action_size = int(task.action_size)
+        self.observation_size = int(jax.eval_shape(task.reset, jax.random.key(0)).obs.shape[-1])
+        self._reset, self._step = jax.jit(self._reset_all), jax.jit(self._step_all)
+
+    def reset(self, key: jax.Array) -> EnvState:
+        """The first states of N episodes, each drawn with a key of its own out of `key`."""
+        return self._reset(key)
+
+    def step(self, state: EnvState, action: jax.Array) -> tuple[EnvState, Transition]:
+        """One step of every environment under `action` [N, A]; what lies outside [-1, 1] is clipped."""
+        return self._step(state, action)
+
+    def physics_seconds(self) -> float | None:
+        """Seconds spent inside the physics engine since the start, or None where XLA compiled it with the rest."""
+        return self._engine.seconds()
+
+    def _reset_all(self, key: jax.Array) -> EnvState:
+        first = jax.vmap(self._task.reset)(jax.random.split(key, self.num_envs))
+        counts = jnp.zeros(self.num_envs, jnp.int32)
+        state = EnvState(
+            bodies=first.pipeline_state,
+            obs=first.obs,
+            first_bodies=first.pipeline_state,
+            first_obs=first.obs,
+            steps=counts,
+            episode_return=jnp.zeros(self.num_envs, jnp.float32),
+            diverged=counts,
+        )
+        return _strongly_typed(state)
+
+    def _step_all(self, state: EnvState, action: jax.Array) -> tuple[EnvState, Transition]:
+        action = jnp.clip(action, -1.0, 1.0)
+        bodies, obs, reward, ended = jax.vmap(self._step_task)(state.bodies, action)
+        diverged = ~jax.vmap(_is_sound)(bodies, obs, reward)
+        reward = jnp.where(diverged, 0.0, reward)
+        final_obs = jnp.where(diverged[:, None], state.obs, obs)
+        steps, episode_return = state.steps + 1, state.episode_return + reward
+        terminated = ended | diverged
+        truncated = (steps >= self._episode_length) & ~terminated
+        over = terminated | truncated
+        transition = Transition(
+            obs=_select(over, state.first_obs, final_obs),
+            reward=reward,
+            terminated=terminated,
+            truncated=truncated,
+            final_obs=final_obs,
+            episode_return=jnp.where(over, episode_return, 0.0),
+            episode_length=jnp.where(over, steps, 0),
+        )
+        state = EnvState(
+            bodies=_select(over, state.first_bodies, bodies),
+            obs=transition.obs,
+            first_bodies=state.first_bodies,
+            first_obs=state.first_obs,
+            steps=jnp.where(over, 0, steps),
+            episode_return=jnp.where(over, 0.0, episode_return),
+            diverged=state.diverged + diverged,
+        )
+        return _strongly_typed((state, transition))
+
+    def _step_task(self, bodies: Bodies, action: jax.Array) -> tuple[Bodies, jax.Array, jax.Array, jax.Array]:
+        """brax's own step of one environment: bodies, obs [O], reward [], whether it ended []."""
+        zero = jnp.zeros(())
+        # Of the state before the step, the tasks read the bodies alone.
+        before = envs.State(pipeline_state=bodies, obs=zero, reward=zero, done=zero, metrics={}, info={})
+        after = self._task.step(before, action)
+        return after.pipeline_state, after.obs, jnp.asarray(after.reward, jnp.float32), after.done > 0
+
+
+def make_environment(
+    task: str,
+    physics: str = "auto",
+    *,
+    num_envs: int,
+    episode_length: int = EPISODE_LENGTH,
+    threads: int = 0,
+) -> BatchedEnvironment:
+    """The batch of environments of a task.
+
+    Args:
+        task: a name out of `common.tasks.TASKS`.
+        physics: "auto", "mjx" or "native"; see `common.physics.engines`.
+        num_envs: N.
+        episode_length: steps after which an episode is truncated.
+        threads: threads that `native` steps on, the caller's included; 0 is one for every core. No effect on results.
+
+    Raises:
+        SettingsError: a name that is not known, or a number that is not possible.
+        PhysicsError: the engine is not installed.
+    """
+    engine_name = resolve_physics(physics)
+    _check_at_least({"num_envs": num_envs, "episode_length": episode_length}, 1)
+    _check_at_least({"threads": threads}, 0)
+    environment = load_task(task)
+    substeps = environment._n_frames
+    engine: Engine
+    if engine_name == MJX:
+        engine = MjxEngine(environment.sys, substeps)
+    else:
+        engine = NativeEngine(c_model(environment), substeps, num_envs, threads)
+    return BatchedEnvironment(environment, engine, num_envs, episode_length)
+
+
+def _check_at_least(given: Mapping[str, int], least: int) -> None:
+    for name, value in given.items():
+        if value < least:
+            raise SettingsError(f"{name} is {value}; it must be at least {least}")
+
+
+def _is_sound(bodies: Bodies, obs: jax.Array, reward: jax.Array) -> jax.Array:
+    """Whether one simulation is still one: a bool []. (A comparison with NaN is false.)"""
+    moving = jnp.concatenate([bodies.q, bodies.qd, bodies.warmstart])
+    return jnp.all(jnp.abs(moving) < LARGEST) & jnp.all(jnp.isfinite(obs)) & jnp.isfinite(reward)
+
+
+def _select(where: jax.Array, then: Any, otherwise: Any) -> Any:
+    """`jnp.where` over the leaves of two trees, by a condition [N] on their first axis."""
+
+    def choose(a: jax.Array, b: jax.Array) -> jax.Array:
+        return jnp.where(where.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+
+    return jax.tree.map(choose, then, otherwise)
+
+
+def _strongly_typed(tree: Any) -> Any:
+    """The same arrays without JAX's weak types, so that a step's result compiles nothing anew as its input."""
+    return jax.tree.map(lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype), tree)

@@ -1,0 +1,46 @@
+"""brax and MuJoCo's JAX engine, imported without what they say about themselves.
+
+Everything of brax and `mujoco.mjx` comes into this package through here. A shim for a function that a newer JAX
+has removed would stand here as well; none is needed by the parts of brax that are used (JAX 0.10).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import warnings
+from typing import Any
+
+import mujoco
+
+_ANNOUNCEMENTS = ("Brax System, piplines and environments are not", "JAXopt is no longer maintained")
+_LOG = logging.getLogger("mujoco")
+
+
+@contextlib.contextmanager
+def without_announcements() -> Any:
+    """Keep out the warnings that brax, and a library that it imports, are no longer developed; no other warning."""
+    with warnings.catch_warnings():
+        for announcement in _ANNOUNCEMENTS:
+            warnings.filterwarnings("ignore", message=announcement)
+        yield
+
+
+def log_instead_of_printing() -> None:
+    """Send MuJoCo's warnings to the logger "mujoco" at level DEBUG, unless the program has its own handler.
+
+    Otherwise they go to stderr and to a file MUJOCO_LOG.TXT in the current folder. What matters of them is reported
+    by other means: `EnvState.diverged`.
+    """
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(_LOG.debug)
+
+
+# mujoco.mjx prints that its optional Warp engine is not installed.
+with without_announcements(), contextlib.redirect_stdout(io.StringIO()):
+    from brax import envs
+    from brax.base import Motion, Transform
+    from mujoco import mjx
+
+__all__ = ["Motion", "Transform", "envs", "log_instead_of_printing", "mjx", "without_announcements"]

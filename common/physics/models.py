@@ -1,0 +1,46 @@
+"""The tasks of `brax.envs` and the MuJoCo models behind them."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from common.errors import SettingsError
+from common.physics.libraries import envs, log_instead_of_printing, without_announcements
+from common.tasks import TASKS, unknown_name
+
+OPTIONS = (
+    "timestep", "integrator", "solver", "cone", "iterations", "ls_iterations", "tolerance", "ls_tolerance",
+    "impratio", "gravity", "wind", "magnetic", "density", "viscosity", "disableflags", "enableflags",
+)  # fmt: skip
+"""The options that MuJoCo's two engines have in common."""
+
+
+def load_task(task: str) -> Any:
+    """The brax environment of `task`, with the options that it sets for MuJoCo's physics.
+
+    Raises:
+        SettingsError: `task` is none of `common.tasks.TASKS`.
+    """
+    if task not in TASKS:
+        raise SettingsError(unknown_name("task", task, TASKS))
+    log_instead_of_printing()
+    with without_announcements():
+        return envs.get_environment(task, backend="mjx")
+
+
+def c_model(environment: Any) -> mujoco.MjModel:
+    """The model of a brax `environment` for MuJoCo's C engine, with the options of its JAX model.
+
+    A task may change options after its model was read, in the JAX model alone: humanoid has other solver settings.
+    """
+    model = copy.copy(environment.sys.mj_model)
+    for name in OPTIONS:
+        wanted = np.asarray(getattr(environment.sys.opt, name))
+        # The JAX model holds float32: a number that differs by no more than that is the same number.
+        if not np.array_equal(np.asarray(getattr(model.opt, name), wanted.dtype), wanted):
+            setattr(model.opt, name, wanted if wanted.ndim else wanted.item())
+    return model

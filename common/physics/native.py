@@ -1,0 +1,136 @@
+"""MuJoCo's C engine on a pool of threads, called by JAX once for the whole batch."""
+
+from __future__ import annotations
+
+import functools
+import os
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from common.errors import PhysicsError
+from common.physics.bodies import Bodies, bodies_from
+from common.physics.engines import NATIVE
+
+_LOST = [
+    int(warning)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+        mujoco.mjtWarning.mjWARN_BADCTRL,
+    )
+]
+"""Warnings after which a simulation is not the one that was asked for: MuJoCo reset it or dropped its commands."""
+
+
+class NativeEngine:
+    """Steps `num_envs` simulations of one model with `mujoco.batch`, in float64 between float32 states.
+
+    `reset` and `step` are written for one simulation, as brax's tasks are, and must be mapped with `jax.vmap`
+    over exactly `num_envs` of them; the map makes one call on the host of it. A call loads each simulation's
+    whole state, so that results depend on the arguments alone: not on earlier calls, not on the number of threads.
+
+    MuJoCo answers a state that is not finite, or beyond 1e10, by going back to the model's defaults. Such a
+    simulation is NaN here, as it would be with `mjx`, so that the caller sees it.
+    """
+
+    name = NATIVE
+
+    def __init__(self, model: mujoco.MjModel, substeps: int, num_envs: int, threads: int) -> None:
+        """`threads` counts the caller's, which works too; 0 is one for every core this process may use.
+
+        Raises:
+            PhysicsError: the installed MuJoCo has no batch engine.
+        """
+        self._batch, self._failure = _open_batch(model, num_envs, threads or len(os.sched_getaffinity(0)))
+        self._substeps = substeps
+        self._defaults = self._batch.state.copy()
+        self._inputs = [self._batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qacc_warmstart")]
+        self._kinematics = [self._batch.bind(name) for name in ("xpos", "xquat", "cvel", "subtree_com")]
+        self._root = model.body_rootid[1:]
+        self._sizes = model.nq, model.nv, model.nu, model.nbody - 1
+        self._seconds = 0.0
+        # Two programs that share this engine may call it at the same time, and a batch serves one caller.
+        self._lock = threading.Lock()
+
+    def reset(self, q: jax.Array, qd: jax.Array) -> Bodies:
+        _, velocities, commands, _ = self._sizes
+        return self._call(self._batch.forward, q, qd, jnp.zeros(commands), jnp.zeros(velocities))
+
+    def step(self, bodies: Bodies, ctrl: jax.Array) -> Bodies:
+        advance = functools.partial(self._batch.step, nstep=self._substeps)
+        return self._call(advance, bodies.q, bodies.qd, ctrl, bodies.warmstart)
+
+    def seconds(self) -> float:
+        """Seconds spent inside MuJoCo's batch calls since this engine was made."""
+        return self._seconds
+
+    def _call(self, run: Callable[[], None], *inputs: jax.Array) -> Bodies:
+        positions, velocities, _, bodies = self._sizes
+        shapes = (
+            (positions,),
+            (velocities,),
+            (bodies, 3),
+            (bodies, 4),
+            (bodies, 6),
+            (bodies, 3),
+            (velocities,),
+        )
+        results = jax.pure_callback(
+            functools.partial(self._on_host, run),
+            tuple(jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes),
+            *inputs,
+            vmap_method="broadcast_all",
+        )
+        return bodies_from(*results)
+
+    def _on_host(self, run: Callable[[], None], *inputs: Any) -> tuple[np.ndarray, ...]:
+        """Run `run` on the batch from `inputs` ([N, nq], [N, nv], [N, nu], [N, nv]); [N, ...] float32 results."""
+        with self._lock:
+            self._batch.state[:] = self._defaults
+            self._batch.warning[:] = 0
+            for field, given in zip(self._inputs, inputs, strict=True):
+                field[:] = given
+            lost = self._timed(run)
+            results = self._results()
+        for result in results:
+            result[lost] = np.nan
+        return results
+
+    def _timed(self, run: Callable[[], None]) -> np.ndarray:
+        """Run the batch; the simulations [N] (bool) that MuJoCo could not carry through."""
+        started = time.perf_counter()
+        try:
+            run()
+        except self._failure:
+            pass  # `status` says which: they stayed where they were, and all others ran to the end
+        finally:
+            self._seconds += time.perf_counter() - started
+        return (self._batch.status != 0) | self._batch.warning[:, _LOST, 1].any(axis=1)
+
+    def _results(self) -> tuple[np.ndarray, ...]:
+        qpos, qvel, _, warmstart = self._inputs
+        xpos, xquat, cvel, subtree_com = self._kinematics
+        lever = xpos[:, 1:] - subtree_com[:, self._root]
+        results = qpos, qvel, xpos[:, 1:], xquat[:, 1:], cvel[:, 1:], lever, warmstart
+        # A copy, for the next call overwrites the batch's own arrays.
+        return tuple(result.astype(np.float32) for result in results)
+
+
+def _open_batch(model: mujoco.MjModel, num_envs: int, threads: int) -> tuple[Any, type[RuntimeError]]:
+    """The batch, and the error that its calls raise when some of its simulations fail."""
+    try:
+        from mujoco.batch import Batch, SimulationError
+    except ImportError as error:
+        raise PhysicsError(
+            f"physics 'native' needs MuJoCo's batch engine, which mujoco {mujoco.__version__} does not have; "
+            "install mujoco 4.0 or later, or choose physics 'mjx'"
+        ) from error
+    return Batch(model, num_envs, min(threads, num_envs)), SimulationError

@@ -1,0 +1,77 @@
+"""What this machine and its software are, and JAX made ready for a service."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from importlib import metadata
+from pathlib import Path
+
+import jax
+
+PACKAGES = (
+    "reskpn",
+    "jax",
+    "jaxlib",
+    "flax",
+    "optax",
+    "numpy",
+    "brax",
+    "mujoco",
+    "mujoco-mjx",
+    "eclipse-zenoh",
+    "msgpack",
+    "mcap",
+)
+
+CACHE_VARIABLE = "RESKPN_CACHE_DIR"
+
+
+def software_versions() -> dict[str, str]:
+    """Versions of Python and of every package that takes part; "absent" for one that is not installed."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "absent"
+    return found
+
+
+def hardware() -> dict[str, str]:
+    """Host, cores that this process may use, and JAX's devices."""
+    devices = jax.devices()
+    return {
+        "host": platform.node(),
+        "machine": platform.machine(),
+        "cores": str(len(os.sched_getaffinity(0))),
+        "backend": jax.default_backend(),
+        "devices": ", ".join(sorted({device.device_kind for device in devices})),
+    }
+
+
+def prepare_jax() -> None:
+    """Keep compiled programs between runs, in $RESKPN_CACHE_DIR or the user's cache folder."""
+    chosen = os.environ.get(CACHE_VARIABLE) or os.path.join(
+        os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "reskpn"
+    )
+    jax.config.update("jax_compilation_cache_dir", str(Path(chosen) / "jax"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
+
+
+def source_commit() -> str:
+    """The git commit of this source tree, "+" where files differ from it; "unknown" outside a checkout."""
+    folder = Path(__file__).parent
+
+    def git(*words: str) -> str | None:
+        try:
+            done = subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, timeout=5, check=False)
+        except (OSError, subprocess.TimeoutExpired):
+            return None
+        return done.stdout.strip() if done.returncode == 0 else None
+
+    commit = git("rev-parse", "HEAD")
+    if commit is None:
+        return "unknown"
+    return commit + ("+" if git("status", "--porcelain", "--untracked-files=no") else "")

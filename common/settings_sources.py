@@ -1,0 +1,187 @@
+"""Where settings come from, and which place wins: command line, environment, YAML file, defaults.
+
+A `Section` stays a plain frozen model; `load` reads the places with pydantic-settings, merges them and turns what
+cannot be into one sentence per fault that says what was given, what is allowed and where it came from.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+from pydantic_settings import (
+    BaseSettings,
+    CliSettingsSource,
+    EnvSettingsSource,
+    SettingsConfigDict,
+)
+from pydantic_settings import SettingsError as SourceError
+
+from common.errors import SettingsError
+from common.settings import RunSettings
+from common.tasks import unknown_name
+
+PREFIX = "RESKPN_"
+PRESETS = ("paper",)
+
+
+class _Sources(RunSettings, BaseSettings):
+    """The same fields as `RunSettings`, for pydantic-settings to read places by."""
+
+    model_config = SettingsConfigDict(
+        frozen=True,
+        extra="forbid",
+        env_prefix=PREFIX,
+        env_nested_delimiter="__",
+        cli_kebab_case=True,
+        cli_hide_none_type=True,
+        cli_avoid_json=True,
+    )
+
+
+def add_options(parser: argparse.ArgumentParser) -> CliSettingsSource[Any]:
+    """Give the parser an option for every setting; the result goes to `load` with the parsed arguments."""
+    parser.add_argument(
+        "--config",
+        metavar="FILE",
+        help=f"YAML file of settings, or the name of a preset ({', '.join(PRESETS)})",
+    )
+    return CliSettingsSource(_Sources, root_parser=parser, cli_parse_args=False)
+
+
+def load(
+    options: CliSettingsSource[Any] | None = None,
+    arguments: argparse.Namespace | None = None,
+    *,
+    config: str | None = None,
+    environment: Mapping[str, str] | None = None,
+) -> RunSettings:
+    """The settings of a run out of all places, or SettingsError with every fault found.
+
+    Args:
+        options, arguments: what `add_options` gave, and what the parser made of the command line.
+        config: a YAML file or the name of a preset.
+        environment: default `os.environ`.
+    """
+    environment = os.environ if environment is None else environment
+    places = [
+        ("the command line", _from_command_line(options, arguments)),
+        ("the environment", _from_environment(environment)),
+        (f"{config}", _from_file(config) if config else {}),
+    ]
+    merged: dict[str, Any] = {}
+    for _, values in reversed(places):
+        merged = _merge(merged, values)
+    try:
+        return RunSettings.model_validate(merged)
+    except ValidationError as error:
+        raise SettingsError(_explain(error, places)) from None
+
+
+def parse_json(text: str) -> RunSettings:
+    """Settings as the learner sends them to an actor (`RunSettings.model_dump_json`)."""
+    try:
+        return RunSettings.model_validate_json(text)
+    except ValidationError as error:
+        raise SettingsError(_explain(error, [("the learner", {})])) from None
+
+
+def _from_command_line(options: CliSettingsSource[Any] | None, arguments: argparse.Namespace | None) -> dict[str, Any]:
+    if options is None or arguments is None:
+        return {}
+    given = {name: value for name, value in vars(arguments).items() if name.split(".")[0] in RunSettings.model_fields}
+    return dict(options(parsed_args=argparse.Namespace(**given))())
+
+
+def _from_environment(environment: Mapping[str, str]) -> dict[str, Any]:
+    unknown = [name for name in environment if name.startswith(PREFIX) and _is_stray(name)]
+    if unknown:
+        name = unknown[0]
+        known = [f"{PREFIX}{field.upper()}" for field in RunSettings.model_fields]
+        raise SettingsError(unknown_name("setting (environment)", name, known))
+    source = EnvSettingsSource(_Sources)
+    source.env_vars = {key.lower(): value for key, value in environment.items()}
+    try:
+        return dict(source())
+    except SourceError as error:
+        raise SettingsError(f"the environment's {PREFIX}... variables cannot be read: {error}") from None
+
+
+def _is_stray(name: str) -> bool:
+    """Whether a RESKPN_ variable is no setting; RESKPN_HOME_... of other tools would be a typo as well."""
+    head = name[len(PREFIX) :].split("__")[0].lower()
+    return head not in RunSettings.model_fields and name not in OTHER_VARIABLES
+
+
+OTHER_VARIABLES = frozenset({"RESKPN_CACHE_DIR"})
+"""Variables that are no setting of a run."""
+
+
+def _from_file(config: str) -> dict[str, Any]:
+    if config in PRESETS:
+        text = resources.files("reskpn").joinpath(f"presets/{config}.yaml").read_text()
+    else:
+        path = Path(config)
+        try:
+            text = path.read_text()
+        except OSError as error:
+            raise SettingsError(
+                f"--config {config}: cannot be read ({error.strerror}); give a YAML file or one of the presets: "
+                f"{', '.join(PRESETS)}"
+            ) from None
+    try:
+        values = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise SettingsError(f"--config {config}: not valid YAML: {' '.join(str(error).split())}") from None
+    if values is None:
+        return {}
+    if not isinstance(values, dict):
+        raise SettingsError(f"--config {config}: must be a mapping of settings, such as 'task: hopper'")
+    return values
+
+
+def _merge(below: dict[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(below)
+    for name, value in above.items():
+        old = merged.get(name)
+        merged[name] = _merge(old, value) if isinstance(old, dict) and isinstance(value, Mapping) else value
+    return merged
+
+
+def _explain(error: ValidationError, places: list[tuple[str, dict[str, Any]]]) -> str:
+    """One line a fault: setting, what was given and where, what is wrong with it."""
+    lines = []
+    for fault in error.errors(include_url=False, include_context=False):
+        name = ".".join(str(part) for part in fault["loc"])
+        text = fault["msg"].removeprefix("Value error, ")
+        if fault["type"] == "extra_forbidden":
+            text = unknown_name("setting", name.split(".")[-1], _siblings(name))
+        elif name and not text.startswith(repr(fault["input"])):
+            text = f"{fault['input']!r}: {text}"
+        source = next((place for place, values in places if _holds(values, fault["loc"])), None)
+        where = f" (from {source})" if source else ""
+        lines.append(f"{name}{where}: {text}" if name else text)
+    return "\n".join(lines)
+
+
+def _holds(values: Any, loc: tuple[int | str, ...]) -> bool:
+    if not loc:
+        return False
+    for part in loc:
+        if not isinstance(values, Mapping) or part not in values:
+            return False
+        values = values[part]
+    return True
+
+
+def _siblings(name: str) -> list[str]:
+    model: Any = RunSettings
+    for part in name.split(".")[:-1]:
+        model = model.model_fields[part].annotation
+    return list(model.model_fields)

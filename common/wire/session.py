@@ -1,0 +1,281 @@
+"""The transport: requests, publications and liveliness over Zenoh, which is imported nowhere else.
+
+Peers talk directly: a learner listens, the others connect to it and need nothing but its address. Nobody is searched
+for on the network, and a lost connection is taken up again for ever, with all that was declared on it.
+
+Handlers run on threads of Zenoh, one for each declaration, and must not block. What they raise goes to `on_error`.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+
+from common.errors import SessionError
+from common.wire.endpoint import Endpoint
+from common.wire.zenoh_settings import zenoh_settings
+
+OnError = Callable[[str, Exception], None]
+"""(key, what a handler raised)."""
+
+_POLL_S = 0.01
+
+
+def log_error(key: str, error: Exception) -> None:
+    """The default `on_error`: Python's logging, with the traceback."""
+    logging.getLogger(__name__).error("a handler of %s failed", key, exc_info=error)
+
+
+class Request:
+    """A question that waits for one answer, which any thread may give at any time.
+
+    The asker's wait ends when the request is answered or dropped, or its handler raises.
+    """
+
+    __slots__ = ("_answer", "_answered", "key", "payload")
+
+    def __init__(self, key: str, payload: bytes, answer: Callable[[bytes], None]) -> None:
+        self.key = key
+        self.payload = payload
+        self._answer = answer
+        self._answered = threading.Lock()
+
+    def reply(self, data: bytes) -> None:
+        """Answer; an asker that is gone or has stopped waiting is no error. `RuntimeError` the second time."""
+        if not self._answered.acquire(blocking=False):
+            raise RuntimeError(f"a request on {self.key} was answered twice")
+        self._answer(data)
+
+
+class Publisher:
+    """Puts on one key. What a slow subscriber's queue cannot take is dropped, so publish what a later put renews."""
+
+    def __init__(self, key: str, publisher: zenoh.Publisher, check_size: Callable[[str, bytes], None]) -> None:
+        self._key = key
+        self._publisher = publisher
+        self._check_size = check_size
+
+    def put(self, data: bytes) -> None:
+        """Raises `SessionError` when the session is closed or the message is larger than agreed."""
+        self._check_size(self._key, data)
+        try:
+            self._publisher.put(data)
+        except zenoh.ZError as error:
+            raise SessionError(f"cannot publish on {self._key}: {_text(error)}") from error
+
+
+class Session:
+    """An open session; made by `open_session`.
+
+    Use it as a context manager: the threads of a session that is not closed keep the process from ending.
+    """
+
+    def __init__(self, session: zenoh.Session, max_message_size: int, on_error: OnError) -> None:
+        self._session = session
+        self._max_message_size = max_message_size
+        self._on_error = on_error
+        self._lock = threading.Lock()
+        self._held: list[Any] = []  # Zenoh undeclares what nobody refers to
+        self._queriers: dict[tuple[str, float], zenoh.Querier] = {}
+
+    def serve(self, key: str, handler: Callable[[Request], None]) -> None:
+        """Answer what is asked on `key`, which may hold wildcards."""
+
+        def on_query(query: zenoh.Query) -> None:
+            payload = query.payload
+            key = str(query.key_expr)
+
+            def answer(data: bytes) -> None:
+                self._check_size(key, data)
+                try:
+                    with query:  # ends the asker's wait now, not when this object is collected
+                        query.reply(key, data)
+                except zenoh.ZError as error:
+                    raise SessionError(f"cannot answer on {key}: {_text(error)}") from error
+
+            try:
+                handler(Request(key, b"" if payload is None else payload.to_bytes(), answer))
+            except Exception as error:
+                self._on_error(key, error)
+                query.drop()  # whoever keeps the error's traceback would keep the asker waiting
+
+        self._hold(lambda: self._session.declare_queryable(key, self._guarded(key, on_query)))
+
+    def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes:
+        """The first answer to `payload` on `key`.
+
+        Blocks the caller, not a thread of Zenoh; while the other side does not read, for up to 30 s beyond
+        `timeout_s`. Raises `SessionError` at once when nobody serves `key` or the answerer goes away, and after
+        `timeout_s` when it does not answer. The request may have arrived all the same.
+        """
+        self._check_size(key, payload)
+        try:
+            reply = self._querier(key, timeout_s).get(payload=payload).recv()
+        except zenoh.ZError as error:
+            why = "this session is closed" if self._session.is_closed() else "nobody connected serves it, or left"
+            raise SessionError(f"no answer on {key}: {why}") from error
+        if reply.ok is None:
+            raise SessionError(
+                f"no answer on {key} within {timeout_s:g} s: the other side is busy or stopped, or refuses messages "
+                f"as large as {len(payload):,} bytes"
+            )
+        return reply.ok.payload.to_bytes()
+
+    def publisher(self, key: str, *, express: bool = False, high_priority: bool = False) -> Publisher:
+        """`express` messages do not wait to be batched; `high_priority` ones overtake bulk data."""
+        priority = zenoh.Priority.INTERACTIVE_HIGH if high_priority else zenoh.Priority.DATA
+        publisher = self._hold(
+            lambda: self._session.declare_publisher(
+                key, congestion_control=zenoh.CongestionControl.DROP, priority=priority, express=express
+            )
+        )
+        return Publisher(key, publisher, self._check_size)
+
+    def subscribe(self, key: str, handler: Callable[[str, bytes], None]) -> None:
+        """Call `handler(key, data)` for what is put on `key`, which may hold wildcards."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            handler(str(sample.key_expr), sample.payload.to_bytes())
+
+        self._hold(lambda: self._session.declare_subscriber(key, self._guarded(key, on_sample)))
+
+    def declare_alive(self, key: str) -> None:
+        """Show `key` as alive until this session closes, its process dies or its machine is silent for a lease."""
+        self._hold(lambda: self._session.liveliness().declare_token(key))
+
+    def watch_alive(self, key: str, handler: Callable[[str, bool], None]) -> None:
+        """Call `handler(key, alive)` for each token on `key` that is there, appears or goes."""
+
+        def on_token(sample: zenoh.Sample) -> None:
+            handler(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        self._hold(
+            lambda: self._session.liveliness().declare_subscriber(key, self._guarded(key, on_token), history=True)
+        )
+
+    def close(self) -> None:
+        """End all that was declared; may be called again and from a handler."""
+        with self._lock:
+            self._held.clear()
+            self._queriers.clear()
+        self._session.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _querier(self, key: str, timeout_s: float) -> zenoh.Querier:
+        # A declared querier is faster than asking the session, and its key is sent as a number.
+        with self._lock:
+            if (key, timeout_s) not in self._queriers:
+                self._queriers[key, timeout_s] = self._session.declare_querier(
+                    key,
+                    timeout=timeout_s,
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                    consolidation=zenoh.ConsolidationMode.NONE,
+                )
+            return self._queriers[key, timeout_s]
+
+    def _hold(self, declare: Callable[[], Any]) -> Any:
+        try:
+            declared = declare()
+        except zenoh.ZError as error:
+            raise SessionError(f"cannot use this session: {_text(error)}") from error
+        with self._lock:
+            self._held.append(declared)
+        return declared
+
+    def _guarded(self, key: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        def guarded(item: Any) -> None:
+            try:
+                callback(item)
+            except Exception as error:
+                self._on_error(key, error)
+
+        return guarded
+
+    def _check_size(self, key: str, data: bytes) -> None:
+        if len(data) > self._max_message_size:
+            raise SessionError(
+                f"a message of {len(data):,} bytes on {key}; {self._max_message_size:,} are allowed: "
+                "make rollouts smaller or raise the limit on both sides"
+            )
+
+
+def open_session(
+    *,
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    connect_timeout_s: float | None = None,
+    max_message_size: int,
+    lease_s: float = 2.0,
+    options: Mapping[str, object] | None = None,
+    on_error: OnError = log_error,
+) -> Session:
+    """Open a session that listens on, or connects to, endpoints such as `tcp/127.0.0.1:7447`.
+
+    `connect_timeout_s=None` returns at once and goes on trying to connect for ever; until then `ask` finds nobody.
+    `max_message_size` is in bytes, of one message. A peer that is silent for `lease_s` counts as gone. `options` are
+    further settings of Zenoh by path, as `{"transport/link/tls/root_ca_certificate": "ca.pem"}`.
+
+    Raises `SessionError`: not an address, an address that cannot be listened on, no connection within the time.
+    """
+    for endpoint in (*listen, *connect):
+        Endpoint.parse(endpoint)
+    settings = {**zenoh_settings(listen, connect, max_message_size, lease_s), **(options or {})}
+    config = zenoh.Config()
+    for path, value in settings.items():
+        try:
+            config.insert_json5(path, json.dumps(value))
+        except zenoh.ZError as error:
+            raise SessionError(f"Zenoh has no setting {path} = {value!r}: {_text(error)}") from error
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError as error:
+        raise SessionError(_cannot_open(listen, _text(error))) from error
+    if connect and connect_timeout_s is not None:
+        _wait_connected(session, connect, connect_timeout_s)
+    return Session(session, max_message_size, on_error)
+
+
+def _wait_connected(session: zenoh.Session, connect: Sequence[str], timeout_s: float) -> None:
+    deadline = time.monotonic() + timeout_s
+    try:
+        while not (session.info.peers_zid() or session.info.routers_zid()):
+            if time.monotonic() >= deadline:
+                raise SessionError(
+                    f"no connection to {', '.join(connect)} within {timeout_s:g} s. Likely causes: no learner is "
+                    "running there; the address or the port is wrong; a firewall drops the connection; one side "
+                    "speaks TLS and the other does not, or a certificate, user or password was not accepted"
+                )
+            time.sleep(_POLL_S)
+    except BaseException:
+        session.close()
+        raise
+
+
+def _cannot_open(listen: Sequence[str], text: str) -> str:
+    where = ", ".join(listen)
+    if "Address already in use" in text:
+        ports = ", ".join(str(Endpoint.parse(endpoint).port) for endpoint in listen)
+        return f"port {ports} of {where} is in use: stop the process that has it, or choose another port to listen on"
+    if "Cannot assign requested address" in text or "failed to lookup" in text:
+        return f"{where} is not an address of this machine: listen on 127.0.0.1, 0.0.0.0 or one of its own addresses"
+    return f"cannot open a Zenoh session{f' on {where}' if where else ''}: {text}"
+
+
+def _text(error: zenoh.ZError) -> str:
+    """Zenoh's sentence without the places in its source code."""
+    return re.sub(r"\s*at /\S+\.rs:\d+\.?", "", str(error)).strip()

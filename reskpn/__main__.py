@@ -1,0 +1,7 @@
+"""`python -m reskpn`."""
+
+import sys
+
+from reskpn.cli import main
+
+sys.exit(main())

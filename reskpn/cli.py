@@ -1,0 +1,126 @@
+"""The command line `reskpn`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from pydantic_settings import CliSettingsSource
+
+from common.errors import ReskpnError
+from common.learners import LEARNERS
+from common.settings import PHYSICS, TransportSettings
+from common.settings_sources import PREFIX, add_options, load
+from common.tasks import TASKS
+
+EXIT_CODES = """\
+exit codes: 0 done, 2 a setting is not possible, 3 no connection, 4 refused, 5 log or checkpoint, 6 physics,
+7 an update was not finite, 8 a process of the run died, 130 stopped by Ctrl-C (the log is whole then)."""
+
+
+def _epilog() -> str:
+    learners = "\n".join(f"  {learner.name:10} {learner.text}" for learner in LEARNERS.values())
+    return f"""\
+The command line wins over the environment ({PREFIX}TASK, {PREFIX}ALGORITHM__GAMMA), which wins over the file
+given by --config, which wins over the defaults shown here.
+
+tasks:    {", ".join(TASKS)}
+physics:  {", ".join(PHYSICS)}
+learners:
+{learners}
+
+{EXIT_CODES}
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit code. This package's errors are printed as a sentence, without a traceback."""
+    parser = argparse.ArgumentParser(
+        prog="reskpn",
+        description="Residual Kernel Policy Network: kernel-policy reinforcement learning as a service.",
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="{train,learner,actor}")
+    _add_train(commands)
+    _add_learner(commands)
+    _add_actor(commands)
+    given = parser.parse_args(arguments)
+    try:
+        code: int = given.call(given)
+    except ReskpnError as error:
+        print(f"reskpn {given.command}: {error}", file=sys.stderr)
+        return error.exit_code
+    return code
+
+
+def _command(
+    commands: Any, name: str, text: str, call: Callable[[argparse.Namespace], int], epilog: str
+) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name,
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}.",
+        usage=f"reskpn {name} [options]",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=epilog,
+        allow_abbrev=False,
+    )
+    parser.set_defaults(call=call)
+    return parser
+
+
+def _add_train(commands: Any) -> None:
+    def call(given: argparse.Namespace) -> int:
+        from reskpn.train import train
+
+        return train(load(options, given, config=given.config))
+
+    text = "train on this machine: a learner and its actors as processes on loopback"
+    options: CliSettingsSource[Any] = add_options(_command(commands, "train", text, call, _epilog()))
+
+
+def _add_learner(commands: Any) -> None:
+    def call(given: argparse.Namespace) -> int:
+        from reskpn.supervised import stopping
+        from services.learner.service import run_learner
+
+        settings = load(options, given, config=given.config)
+        with stopping(supervised=given.supervised) as stop:
+            return run_learner(settings, stop=stop)
+
+    parser = _command(commands, "learner", "serve one training run; actors connect to it", call, _epilog())
+    options: CliSettingsSource[Any] = add_options(parser)
+    parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)
+
+
+def _add_actor(commands: Any) -> None:
+    def call(given: argparse.Namespace) -> int:
+        from reskpn.supervised import stopping
+        from services.actor.service import run_actor
+
+        base = load(config=given.config)
+        transport = base.transport.model_dump() | ({"endpoint": given.endpoint} if given.endpoint else {})
+        with stopping(supervised=given.supervised) as stop:
+            return run_actor(
+                TransportSettings.model_validate(transport),
+                physics=given.physics or base.physics,
+                run=given.run,
+                threads=given.threads,
+                connect_timeout_s=given.connect_timeout,
+                stop=stop,
+                say=lambda text: print(text, flush=True),
+            )
+
+    text = "collect experience for a learner, from this machine or another"
+    epilog = f"The environment's {PREFIX}TRANSPORT__ENDPOINT and {PREFIX}PHYSICS count as well.\n\n{EXIT_CODES}"
+    parser = _command(commands, "actor", text, call, epilog)
+    parser.add_argument("--endpoint", metavar="ADDRESS", help="where the learner listens, tcp/HOST:PORT")
+    parser.add_argument("--physics", choices=PHYSICS, help="engine, where the run leaves it to the actor")
+    parser.add_argument("--run", default="", help="work for this run only (default: whichever the learner has)")
+    parser.add_argument("--threads", type=int, default=0, help="threads of the native engine (default: one a core)")
+    parser.add_argument(
+        "--connect-timeout", type=float, metavar="S", help="give up when no learner answers in time (default: never)"
+    )
+    parser.add_argument("--config", metavar="FILE", help="YAML file of settings; its transport section is used")
+    parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)

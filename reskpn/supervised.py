@@ -1,0 +1,39 @@
+"""How a service is told to stop: by a signal, or by the end of its supervisor."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def stopping(*, supervised: bool) -> Iterator[threading.Event]:
+    """An event that SIGINT and SIGTERM set, and a second signal ends the process at once.
+
+    A supervised process also stops when its standard input ends, as it does however its supervisor ends.
+    """
+    stop = threading.Event()
+
+    def on_signal(number: int, _frame: object) -> None:
+        if stop.is_set():
+            os._exit(128 + number)
+        stop.set()
+
+    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+    if supervised:
+        threading.Thread(target=_wait_for_end, args=(stop,), name="supervisor-watch", daemon=True).start()
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _wait_for_end(stop: threading.Event) -> None:
+    # Not sys.stdin: its lock, held by this thread at exit, would abort the interpreter.
+    while os.read(0, 4096):
+        pass
+    stop.set()

@@ -1,0 +1,234 @@
+"""Rollouts: the policy acting in a batch of environments, as one compiled program.
+
+A rollout is a function of the policy, the state of the environments and (seed, slot, generation, seq) alone. The
+state moves on only when `keep` says that the learner took the rollout; until then the same one can be made again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from common.maths import gaussians
+from common.maths.kernels import make_kernel
+from common.maths.networks import make_networks
+from common.maths.policy import Policy, act
+from common.maths.state import initial_state
+from common.maths.trees import from_arrays
+from common.physics.environments import BatchedEnvironment, EnvState, make_environment
+from common.settings import RunSettings
+from common.tasks import TASKS
+
+RESET, COLLECT = 0, 1
+"""Streams of random numbers, folded into an actor's key."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """What a learner gave this actor: its slot, and how often that was given out before."""
+
+    slot: int
+    generation: int
+
+
+@dataclass(frozen=True)
+class Experience:
+    """The arrays of one rollout, named as in `common.wire.messages.Rollout`, and seconds by phase."""
+
+    arrays: dict[str, np.ndarray]
+    timing: dict[str, float]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Trajectory:
+    """T steps of N environments, on the device."""
+
+    obs: Array
+    action: Array
+    log_prob: Array
+    reward: Array
+    terminated: Array
+    truncated: Array
+    episode_return: Array
+    episode_length: Array
+
+
+class PolicyReader:
+    """Makes snapshots into policies, and acts by them."""
+
+    def __init__(self, settings: RunSettings) -> None:
+        task = TASKS[settings.task]
+        self.networks, parameters = make_networks(
+            task.observation_size, task.action_size, settings.algorithm.hidden, settings.seed
+        )
+        self._template = initial_state(
+            self.networks,
+            parameters,
+            settings.algorithm,
+            capacity=settings.capacity,
+            slots=1,
+            envs_per_slot=1,
+            seed=settings.seed,
+        ).policy
+        self._act = partial(
+            act,
+            self.networks,
+            make_kernel(settings.rkhs.kernel, settings.rkhs.bandwidth),
+            normalise=settings.algorithm.normalise_observations,
+        )
+
+    @property
+    def template(self) -> Policy:
+        """A policy of the run's shapes."""
+        return self._template
+
+    def read(self, arrays: dict[str, np.ndarray]) -> Policy:
+        """The policy of a snapshot; CodecError where it does not fit the run."""
+        return jax.device_put(from_arrays(self._template, arrays))
+
+    def sample(self, policy: Policy, observation: Array, key: Array) -> tuple[Array, Array]:
+        """Actions [N, A] and their log-probabilities [N]."""
+        mean = self._act(policy, observation)
+        action = gaussians.sample(key, mean.total, mean.log_std)
+        return action, gaussians.log_prob(mean.total, mean.log_std, action)
+
+    def mode(self, policy: Policy, observation: Array) -> Array:
+        """The deterministic actions [N, A]."""
+        return self._act(policy, observation).total
+
+
+class Collector:
+    """The environments of one slot."""
+
+    def __init__(self, settings: RunSettings, place: Place, reader: PolicyReader, threads: int = 0) -> None:
+        """Raises SettingsError or PhysicsError as `make_environment` does."""
+        self._settings = settings
+        self._reader = reader
+        self._environment = make_environment(
+            settings.task,
+            settings.physics,
+            num_envs=settings.envs_per_actor,
+            episode_length=settings.episode_length,
+            threads=threads,
+        )
+        key = jax.random.fold_in(jax.random.key(settings.seed), place.slot)
+        self._key = jax.random.fold_in(key, place.generation)
+        self._collect: Callable[..., tuple[EnvState, Trajectory, Array, Array]] = jax.jit(self._scan)
+        self._state: EnvState | None = None
+        self._pending: EnvState | None = None
+        self.seq = 0
+
+    @property
+    def physics(self) -> str:
+        """The engine that steps the environments."""
+        return self._environment.physics
+
+    def compile(self) -> None:
+        """Reset the environments and compile the rollout, so that the first one does not wait for it."""
+        self._state = jax.block_until_ready(self._environment.reset(jax.random.fold_in(self._key, RESET)))
+        self._collect = jax.jit(self._scan).lower(self._reader.template, self._state, self._key).compile()
+
+    def collect(self, policy: Policy) -> Experience:
+        """The rollout number `seq` under this policy. Called again before `keep`, it starts from the same states."""
+        began_s, physics_s = time.perf_counter(), self._environment.physics_seconds()
+        key = jax.random.fold_in(jax.random.fold_in(self._key, COLLECT), self.seq)
+        self._pending, trajectory, last_obs, cut_obs = self._collect(policy, self._state, key)
+        arrays = _host_arrays(trajectory, last_obs, cut_obs)
+        timing = {"collect": time.perf_counter() - began_s}
+        if physics_s is not None:
+            timing["physics"] = (self._environment.physics_seconds() or 0.0) - physics_s
+            timing["collect"] -= timing["physics"]
+        return Experience(arrays, timing)
+
+    def keep(self) -> None:
+        """The learner has the rollout: go on from where it ended."""
+        self._state = self._pending
+        self.seq += 1
+
+    def _scan(self, policy: Policy, state: EnvState, key: Array) -> tuple[EnvState, Trajectory, Array, Array]:
+        def one_step(carry: tuple[EnvState, Array], key_t: Array) -> tuple[tuple[EnvState, Array], Trajectory]:
+            state, cut_obs = carry
+            obs = state.obs
+            action, log_prob = self._reader.sample(policy, obs, key_t)
+            state, transition = self._environment.step(state, action)
+            cut_obs = jnp.where(transition.truncated[:, None], transition.final_obs, cut_obs)
+            return (state, cut_obs), Trajectory(
+                obs=obs,
+                action=action,
+                log_prob=log_prob,
+                reward=transition.reward,
+                terminated=transition.terminated,
+                truncated=transition.truncated,
+                episode_return=transition.episode_return,
+                episode_length=transition.episode_length,
+            )
+
+        keys = jax.random.split(key, self._settings.num_steps)
+        (state, cut_obs), trajectory = jax.lax.scan(one_step, (state, jnp.zeros_like(state.obs)), keys)
+        return state, trajectory, state.obs, cut_obs
+
+
+def evaluate(
+    settings: RunSettings, reader: PolicyReader, policy: Policy, episodes: int, threads: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns and lengths of that many episodes with the deterministic policy, each from a start of its own.
+
+    The starts depend on the run's seed alone, so two policies of a run are judged on the same ones.
+    """
+    environment = make_environment(
+        settings.task,
+        settings.physics,
+        num_envs=episodes,
+        episode_length=settings.episode_length,
+        threads=threads,
+    )
+    return _first_episodes(environment, reader, policy, settings)
+
+
+def _first_episodes(
+    environment: BatchedEnvironment, reader: PolicyReader, policy: Policy, settings: RunSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    def one_step(carry: tuple[EnvState, Array, Array], _: None) -> tuple[tuple[EnvState, Array, Array], None]:
+        state, returns, lengths = carry
+        state, transition = environment.step(state, reader.mode(policy, state.obs))
+        first = (lengths == 0) & (transition.episode_length > 0)
+        returns = jnp.where(first, transition.episode_return, returns)
+        lengths = jnp.where(first, transition.episode_length, lengths)
+        return (state, returns, lengths), None
+
+    @jax.jit
+    def run(state: EnvState) -> tuple[Array, Array]:
+        start = (state, jnp.zeros(environment.num_envs, jnp.float32), jnp.zeros(environment.num_envs, jnp.int32))
+        (_, returns, lengths), _ = jax.lax.scan(one_step, start, length=settings.episode_length)
+        return returns, lengths
+
+    key = jax.random.fold_in(jax.random.key(settings.seed), 0xE7A1)
+    returns, lengths = run(environment.reset(key))
+    return np.asarray(returns), np.asarray(lengths)
+
+
+def _host_arrays(trajectory: Trajectory, last_obs: Array, cut_obs: Array) -> dict[str, np.ndarray]:
+    """The arrays of a rollout message; episodes and cut observations in the order of time, then environment."""
+    host = jax.device_get(trajectory)
+    over = host.terminated | host.truncated
+    _, cut_envs = np.nonzero(host.truncated)
+    return {
+        "obs": host.obs,
+        "action": host.action,
+        "log_prob": host.log_prob,
+        "reward": host.reward,
+        "terminated": host.terminated,
+        "truncated": host.truncated,
+        "last_obs": np.asarray(last_obs),
+        "truncated_obs": np.asarray(cut_obs)[cut_envs],
+        "episode_return": host.episode_return[over],
+        "episode_length": host.episode_length[over],
+    }

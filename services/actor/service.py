@@ -1,0 +1,178 @@
+"""The actor as a process: joins a learner, collects what is asked, leaves when the run is over."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import jax
+
+from common.errors import SessionError
+from common.maths.policy import Policy
+from common.physics.engines import resolve_physics
+from common.runtime import hardware, prepare_jax, software_versions
+from common.settings import TransportSettings
+from common.wire.messages import Evaluation, Orders, Rollout
+from common.wire.session import Session, open_session
+from services.actor.collector import Collector, Place, PolicyReader, evaluate
+from services.actor.heartbeat import Heart
+from services.actor.link import Link, Lost, Membership, join
+
+ORDERS_S = 0.5
+
+
+def run_actor(
+    transport: TransportSettings,
+    *,
+    physics: str,
+    run: str,
+    threads: int,
+    connect_timeout_s: float | None,
+    stop: threading.Event,
+    say: Callable[[str], None],
+) -> int:
+    """Work for the learner at `transport.endpoint` until the run is over or `stop` is set; returns the exit code 0.
+
+    Args:
+        physics: the engine, or "auto"; the run's own setting wins unless that is "auto".
+        run: the run to work for, or "" for whichever the learner has.
+        threads: threads of the native engine, 0 for one a core.
+        connect_timeout_s: how long to wait for a learner; None for ever.
+        say: told what a person may want to know.
+
+    Raises:
+        RefusedError: the learner will not have this actor.
+        SessionError: no learner within the time.
+    """
+    prepare_jax()
+    # A callback into the physics engine must not wait for a computation queued behind it.
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+    engine = resolve_physics(physics)
+    versions, machine = software_versions(), hardware()
+    deadline = None if connect_timeout_s is None else time.monotonic() + connect_timeout_s
+    while not stop.is_set():
+        # A session of its own for every life: nothing of an earlier one is declared on it.
+        with open_session(
+            connect=[transport.endpoint],
+            connect_timeout_s=None if deadline is None else max(0.1, deadline - time.monotonic()),
+            max_message_size=transport.max_message_bytes,
+            lease_s=transport.lease_s,
+        ) as session:
+            member = join(session, run=run, physics=engine, versions=versions, hardware=machine, stop=stop, waiting=say)
+            if member is None:
+                return 0
+            say(f"joined {member.run} as slot {member.slot} (generation {member.generation}) with {engine} physics")
+            try:
+                finished = Life(session, member, transport, engine, threads, stop).live()
+            except (Lost, SessionError) as error:
+                say(f"{error}; joining again")
+                deadline = None
+                continue
+            if finished:
+                say("the run is over")
+            return 0
+    return 0
+
+
+class Life:
+    """One incarnation of an actor, from joining to leaving."""
+
+    def __init__(
+        self,
+        session: Session,
+        member: Membership,
+        transport: TransportSettings,
+        engine: str,
+        threads: int,
+        stop: threading.Event,
+    ) -> None:
+        settings = member.settings
+        if settings.physics == "auto":
+            settings = settings.model_copy(update={"physics": engine})
+        self._member = member
+        self._settings = settings
+        self._threads = threads
+        self._stop = stop
+        self._link = Link(session, member, push_timeout_s=transport.push_timeout_s)
+        self._heart = Heart(self._link, member)
+        self._policy: Policy | None = None
+        self._version = -1
+        self._made = 0
+        self._evaluated = -1
+        self._push_s = 0.0
+
+    def live(self) -> bool:
+        """Work until the run is over (True) or the actor is asked to stop (False).
+
+        Raises:
+            Lost: the learner is gone or has given the slot away.
+        """
+        with self._heart:
+            reader = PolicyReader(self._settings)
+            place = Place(self._member.slot, self._member.generation)
+            collector = Collector(self._settings, place, reader, self._threads)
+            collector.compile()
+            self._heart.state("waiting")
+            orders: Orders | None = None
+            while not self._stop.is_set():
+                newer = self._link.orders(newer_than=orders, timeout_s=ORDERS_S)
+                if newer is None:
+                    continue
+                orders = newer
+                if orders.finished:
+                    return True
+                self._follow(orders, reader, collector)
+        return False
+
+    def _follow(self, orders: Orders, reader: PolicyReader, collector: Collector) -> None:
+        """Do what is asked of this slot and is not yet done."""
+        slot = self._member.slot
+        wanted = orders.collect.get(slot, 0) - (self._made if self._version == orders.version else 0)
+        if wanted <= 0 and slot not in orders.evaluate:
+            return
+        if self._version != orders.version:
+            snapshot = self._link.snapshot()
+            self._policy, self._version, self._made = reader.read(snapshot.arrays), snapshot.version, 0
+            self._heart.version = snapshot.version
+        if self._policy is None or self._version != orders.version:
+            return  # the learner has moved on: newer orders are on their way
+        for _ in range(wanted):
+            if not self._collect(collector, self._policy):
+                return
+        if slot in orders.evaluate and self._evaluated != orders.version:
+            self._evaluate(reader, self._policy, orders.evaluate[slot])
+
+    def _collect(self, collector: Collector, policy: Policy) -> bool:
+        """Make one rollout and bring it to the learner; whether it was taken."""
+        self._heart.state("collecting")
+        experience = collector.collect(policy)
+        rollout = Rollout(
+            run=self._member.run,
+            slot=self._member.slot,
+            incarnation=self._member.incarnation,
+            seq=collector.seq,
+            policy_version=self._version,
+            t_ns=time.time_ns(),
+            timing={**experience.timing, "push": self._push_s},
+            **experience.arrays,
+        )
+        self._heart.state("pushing")
+        began_s = time.perf_counter()
+        taken = self._link.push(rollout, self._stop)
+        self._push_s = time.perf_counter() - began_s
+        if taken:
+            collector.keep()
+            self._made += 1
+            self._heart.stepped(self._settings.envs_per_actor * self._settings.num_steps)
+        self._heart.state("waiting")
+        return taken
+
+    def _evaluate(self, reader: PolicyReader, policy: Policy, episodes: int) -> None:
+        self._heart.state("evaluating")
+        returns, lengths = evaluate(self._settings, reader, policy, episodes, self._threads)
+        member = self._member
+        evaluation = Evaluation(member.run, member.slot, member.incarnation, self._version, returns, lengths)
+        if self._link.push_evaluation(evaluation, self._stop):
+            self._evaluated = self._version
+        self._heart.state("waiting")

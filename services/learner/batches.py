@@ -1,0 +1,47 @@
+"""Rollouts off the wire, put side by side for one update."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from common.maths.state import Batch
+from common.wire.messages import Rollout
+
+
+def assemble(rollouts: Sequence[Rollout]) -> Batch:
+    """The batch of an update: rollouts in the order given, their environments side by side.
+
+    One rollout is used as it lies in its message, where the device can read host memory; several are copied.
+    """
+
+    def beside(name: str) -> Array:
+        arrays = [getattr(rollout, name) for rollout in rollouts]
+        return jnp.asarray(arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=1))
+
+    return Batch(
+        observation=beside("obs"),
+        action=beside("action"),
+        log_prob=beside("log_prob"),
+        reward=beside("reward"),
+        terminated=beside("terminated"),
+        truncated=beside("truncated"),
+        last_observation=jnp.asarray(np.concatenate([rollout.last_obs for rollout in rollouts])),
+        cut_observation=jnp.asarray(np.concatenate([_cut_observations(rollout) for rollout in rollouts])),
+        slot=jnp.asarray([rollout.slot for rollout in rollouts], jnp.int32),
+        fresh=jnp.asarray([rollout.seq == 0 for rollout in rollouts], jnp.bool_),
+    )
+
+
+def _cut_observations(rollout: Rollout) -> np.ndarray:
+    """For each environment the observation its episode was cut at, [N, O]; zero where none was.
+
+    At most one cut an environment: a rollout is not longer than an episode.
+    """
+    cut = np.zeros_like(rollout.last_obs)
+    _, environments = np.nonzero(rollout.truncated)
+    cut[environments] = rollout.truncated_obs
+    return cut

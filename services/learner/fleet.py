@@ -1,0 +1,261 @@
+"""Who works for the learner, what is asked of them, and which of their rollouts count.
+
+A slot is a place in the batch. It is given to one incarnation (one life of an actor process) at a time. In sync mode
+an update takes exactly `slots` rollouts of the current version: one from each slot, or, while a slot has lost its
+actor, another from those that are left. A slot that nobody has held yet is waited for, so that a run's first batch,
+and with it the whole run, is the same whichever actor comes first.
+
+Nothing here knows of threads, clocks or Zenoh: the service holds a lock around every call and says what time it is.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from common.errors import RefusedError
+from common.wire.messages import Heartbeat, Orders, PushReply, Rollout
+
+ACCEPTED = PushReply("accepted", "")
+
+Place = tuple[int, int, int]
+"""Slot, generation and seq: where a rollout stands in the batch."""
+
+
+@dataclass
+class Member:
+    """The actor that holds a slot. `next_seq` counts the rollouts taken from it, to know a repeat by."""
+
+    incarnation: str
+    generation: int
+    physics: str
+    state: str = "compiling"
+    state_s: float = 0.0
+    heard_s: float = 0.0
+    version: int = 0
+    env_steps: int = 0
+    steps_per_s: float = 0.0
+    next_seq: int = 0
+
+    @property
+    def ready(self) -> bool:
+        return self.state != "compiling"
+
+
+@dataclass
+class Slot:
+    """A place in the batch and who holds it, if anyone; `given` counts how often it was given out."""
+
+    number: int
+    given: int = 0
+    member: Member | None = None
+
+
+@dataclass
+class Counts:
+    """What happened since the start, by kind: shown, logged and asserted on."""
+
+    refused: Counter[str] = field(default_factory=Counter)
+    repeated: int = 0
+    joined: int = 0
+    lost: int = 0
+
+
+class Fleet:
+    """The slots of one run and the rollouts of the version being collected."""
+
+    def __init__(self, run: str, slots: int) -> None:
+        self._run = run
+        self._slots = [Slot(number) for number in range(slots)]
+        self._version = 0
+        self._taken: dict[Place, Rollout] = {}
+        self._under_way: dict[tuple[int, str, int], Place] = {}
+        self._extra: Counter[int] = Counter()
+        self._evaluator: int | None = None
+        self._episodes = 0
+        self._finished = False
+        self.counts = Counts()
+
+    # -- joining and leaving -------------------------------------------------------------------------------
+
+    def join(self, incarnation: str, physics: str, now_s: float) -> Slot:
+        """Give out the lowest free slot. RefusedError when none is free."""
+        for slot in self._slots:
+            if slot.member is not None and slot.member.incarnation == incarnation:
+                return slot
+        for slot in self._slots:
+            if slot.member is None:
+                slot.member = Member(incarnation, slot.given, physics, heard_s=now_s)
+                slot.given += 1
+                self.counts.joined += 1
+                self._share_out()
+                return slot
+        raise RefusedError(
+            f"all {len(self._slots)} slots are taken; this actor stands by and takes over when one is freed"
+        )
+
+    def lose(self, incarnation: str) -> Slot | None:
+        """Free the slot of an actor that is gone; None where it held none. Its accepted rollouts stay good."""
+        for slot in self._slots:
+            if slot.member is not None and slot.member.incarnation == incarnation:
+                slot.member = None
+                self.counts.lost += 1
+                if self._evaluator == slot.number:
+                    self._evaluator = None
+                self._share_out()
+                return slot
+        return None
+
+    def heard(self, beat: Heartbeat, now_s: float) -> bool:
+        """Take in a heartbeat; whether orders change by it. One of an incarnation without a slot is ignored."""
+        member = self._holder(beat.slot, beat.incarnation)
+        if member is None:
+            return False
+        was_ready = member.ready
+        member.state, member.state_s, member.heard_s = beat.state, beat.state_s, now_s
+        member.version, member.env_steps, member.steps_per_s = beat.version, beat.env_steps, beat.steps_per_s
+        if member.ready == was_ready:
+            return False
+        self._share_out()
+        return True
+
+    def holds(self, slot: int, incarnation: str) -> bool:
+        """Whether this incarnation has that slot now."""
+        return self._holder(slot, incarnation) is not None
+
+    def silent(self, now_s: float, limit_s: float) -> list[str]:
+        """Incarnations not heard of for longer than the limit."""
+        return [
+            slot.member.incarnation
+            for slot in self._slots
+            if slot.member is not None and now_s - slot.member.heard_s > limit_s
+        ]
+
+    # -- the rollouts of a version -------------------------------------------------------------------------
+
+    def begin(self, version: int) -> None:
+        """Collect for this version from now on."""
+        self._version = version
+        self._taken.clear()
+        self._extra.clear()
+        self._share_out()
+
+    def admit(self, rollout: Rollout) -> PushReply | None:
+        """Whether a rollout may be logged and used: None if so, else the answer for its sender.
+
+        A rollout that was admitted is under way until `accept` is called with it.
+        """
+        member = self._holder(rollout.slot, rollout.incarnation)
+        if rollout.run != self._run:
+            return self._refuse("run", f"this learner runs {self._run!r}, not {rollout.run!r}")
+        if member is None:
+            return self._refuse(
+                "incarnation", f"slot {rollout.slot} is not held by {rollout.incarnation!r}; join again"
+            )
+        if rollout.key in self._under_way:
+            return PushReply("busy", "this rollout is being written to the log")
+        if rollout.seq < member.next_seq:
+            self.counts.repeated += 1
+            return ACCEPTED
+        if rollout.policy_version != self._version:
+            return self._refuse("stale", f"made with policy {rollout.policy_version}; policy {self._version} is wanted")
+        if len(self._taken) + len(self._under_way) >= len(self._slots):
+            return self._refuse("surplus", f"policy {self._version} has all the rollouts it needs")
+        if rollout.seq > member.next_seq:
+            return self._refuse("gap", f"rollout {rollout.seq} came where {member.next_seq} is next")
+        member.next_seq = rollout.seq + 1
+        self._under_way[rollout.key] = (rollout.slot, member.generation, rollout.seq)
+        return None
+
+    def accept(self, rollout: Rollout) -> None:
+        """The rollout is in the log: it counts."""
+        place = self._under_way.pop(rollout.key)
+        if rollout.policy_version == self._version:
+            self._taken[place] = rollout
+
+    def take(self) -> list[Rollout] | None:
+        """All rollouts of the version in (slot, generation, seq) order, once they are complete; else None."""
+        if len(self._taken) < len(self._slots):
+            return None
+        return [self._taken[place] for place in sorted(self._taken)]
+
+    # -- orders --------------------------------------------------------------------------------------------
+
+    def evaluate(self, episodes: int) -> None:
+        """From now on ask for an evaluation instead of rollouts."""
+        self._episodes = episodes
+        self._share_out()
+
+    def finish(self) -> None:
+        """From now on tell everyone that the run is over."""
+        self._finished = True
+
+    def orders(self, *, digest: str, size: int, t_ns: int) -> Orders:
+        """What is wanted now. `collect` counts from the version's start."""
+        evaluating = self._episodes > 0
+        collect = {
+            slot.number: 1 + self._extra[slot.number]
+            for slot in self._slots
+            if slot.member is not None and not evaluating and not self._finished
+        }
+        evaluator = {} if self._evaluator is None or self._finished else {self._evaluator: self._episodes}
+        return Orders(self._run, self._version, digest, size, collect, evaluator, self._finished, t_ns)
+
+    def waiting_for(self) -> str:
+        """What holds the run up, for a person: "waiting for 1 of 2 rollouts: slot 1 compiling 12 s"."""
+        parts = []
+        done = {number for number, _, _ in self._taken}
+        for slot in self._slots:
+            if slot.number in done:
+                continue
+            if slot.member is None:
+                parts.append(f"slot {slot.number} has {'lost its' if slot.given else 'no'} actor")
+            else:
+                parts.append(f"slot {slot.number} {slot.member.state} {slot.member.state_s:.0f} s")
+        return f"waiting for {len(self._slots) - len(self._taken)} of {len(self._slots)} rollouts: {', '.join(parts)}"
+
+    def members(self) -> list[tuple[int, Member]]:
+        return [(slot.number, slot.member) for slot in self._slots if slot.member is not None]
+
+    @property
+    def version(self) -> int:
+        return self._version
+
+    @property
+    def finished(self) -> bool:
+        return self._finished
+
+    # -- inside --------------------------------------------------------------------------------------------
+
+    def _holder(self, slot: int, incarnation: str) -> Member | None:
+        """The member of that slot, where it is this incarnation."""
+        member = self._slots[slot].member if slot < len(self._slots) else None
+        return member if member is not None and member.incarnation == incarnation else None
+
+    def _refuse(self, reason: str, text: str) -> PushReply:
+        self.counts.refused[reason] += 1
+        return PushReply("refused", f"{reason}: {text}")
+
+    def _share_out(self) -> None:
+        """Hand the work of slots without an actor to those that have one.
+
+        A slot counts as manned while its first actor has yet to come, and while an actor is in it, unless that is a
+        returning one that still compiles: it is used again from when it is ready.
+        """
+        if self._episodes and self._evaluator is None:
+            ready = [slot.number for slot in self._slots if slot.member is not None and slot.member.ready]
+            self._evaluator = ready[0] if ready else None
+        manned = [slot for slot in self._slots if _manned(slot)]
+        able = [slot.number for slot in manned if slot.member is not None]
+        delivered = {number for number, _, _ in self._taken}
+        orphaned = [slot.number for slot in self._slots if slot not in manned and slot.number not in delivered]
+        self._extra.clear()
+        for turn, _ in enumerate(orphaned):
+            if able:
+                self._extra[able[turn % len(able)]] += 1
+
+
+def _manned(slot: Slot) -> bool:
+    if slot.member is None:
+        return slot.given == 0
+    return slot.member.generation == 0 or slot.member.ready

@@ -1,0 +1,267 @@
+"""The learner's side of every conversation: joins, rollouts, snapshots, heartbeats, orders.
+
+Handlers run on Zenoh's threads. They check and enqueue, under one lock, and never wait: a rollout is answered
+`accepted` by the log's thread once it is in the log, `busy` where the queue is full, `refused` where it is no use.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+
+from common.errors import CodecError, RefusedError
+from common.log.writer import LogWriter
+from common.settings import RunSettings
+from common.tasks import TASKS
+from common.wire.keys import JOIN, Keys, parse_alive
+from common.wire.messages import (
+    Evaluation,
+    Heartbeat,
+    Join,
+    JoinReply,
+    PushReply,
+    Rollout,
+    RolloutShape,
+    Snapshot,
+    digest_arrays,
+)
+from common.wire.session import Request, Session
+from services.learner.fleet import ACCEPTED, Fleet
+
+SILENT_S = 30.0
+"""An actor that sends no heartbeat for so long has lost its slot, whatever its connection looks like."""
+
+
+class Hub:
+    """Joins wire, log and fleet. The learner's loop calls `begin`, `rollouts`, `evaluation` and `finish`."""
+
+    def __init__(
+        self,
+        run: str,
+        settings: RunSettings,
+        session: Session,
+        log: LogWriter,
+        on_event: Callable[[str, str, str], None],
+    ) -> None:
+        """`on_event(level, name, text)` is told what a person may want to know; it must not block."""
+        task = TASKS[settings.task]
+        self._run = run
+        self._settings = settings
+        self._session = session
+        self._log = log
+        self._on_event = on_event
+        self._keys = Keys(run)
+        self._shape = RolloutShape(settings.num_steps, settings.envs_per_actor, task.observation_size, task.action_size)
+        self._changed = threading.Condition()
+        # Under the condition, from here
+        self._fleet = Fleet(run, settings.actors)
+        self._snapshot = b""
+        self._digest = ""
+        self._evaluation: Evaluation | None = None
+        self._malformed: Counter[str] = Counter()
+        # to here.
+        self._orders = session.publisher(self._keys.policy_notify, express=True, high_priority=True)
+        self._metrics = session.publisher(self._keys.metrics)
+        self._status = session.publisher(self._keys.status)
+
+    def open(self) -> None:
+        """Begin to answer. The first snapshot must be there (`begin`)."""
+        session, keys = self._session, self._keys
+        session.serve(keys.policy_latest, self._serve_snapshot)
+        session.serve(keys.rollouts, self._on_rollout)
+        session.serve(keys.evaluations, self._on_evaluation)
+        session.subscribe(keys.heartbeats, self._on_heartbeat)
+        session.watch_alive(keys.all_alive, self._on_alive)
+        session.declare_alive(keys.alive("learner", "learner"))
+        session.serve(JOIN, self._on_join)
+
+    # -- for the learner's loop ----------------------------------------------------------------------------
+
+    def begin(self, snapshot: Snapshot) -> bytes:
+        """Publish a version and collect for it; returns the snapshot's bytes."""
+        data = snapshot.encode()
+        with self._changed:
+            self._snapshot, self._digest = data, snapshot.digest
+            self._fleet.begin(snapshot.version)
+        self.announce()
+        return data
+
+    def rollouts(self, timeout_s: float) -> list[Rollout] | None:
+        """The rollouts of the version in their order, or None when they are not complete within the time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._fleet.take() is not None, timeout_s)
+            return self._fleet.take()
+
+    def ask_for_evaluation(self, episodes: int) -> None:
+        with self._changed:
+            self._fleet.evaluate(episodes)
+        self.announce()
+
+    def evaluation(self, timeout_s: float) -> Evaluation | None:
+        """The evaluation asked for, or None when it did not come within the time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._evaluation is not None, timeout_s)
+            return self._evaluation
+
+    def finish(self) -> None:
+        """Tell all actors that the run is over."""
+        with self._changed:
+            self._fleet.finish()
+        self.announce()
+
+    def announce(self) -> None:
+        """Say what is wanted now. Said again and again by the loop, since a put may be lost."""
+        with self._changed:
+            orders = self._fleet.orders(digest=self._digest, size=len(self._snapshot), t_ns=time.time_ns())
+        self._orders.put(orders.encode())
+
+    def drop_silent(self) -> None:
+        """Free the slots of actors that are connected but send no heartbeat."""
+        with self._changed:
+            silent = self._fleet.silent(time.monotonic(), SILENT_S)
+        for incarnation in silent:
+            self._lose(incarnation, f"sent no heartbeat for {SILENT_S:.0f} s")
+
+    def publish_metrics(self, data: bytes) -> None:
+        self._metrics.put(data)
+
+    def publish_status(self, data: bytes) -> None:
+        self._status.put(data)
+
+    def waiting_for(self) -> str:
+        with self._changed:
+            return self._fleet.waiting_for()
+
+    def engines(self) -> set[str]:
+        """Physics engines of the actors that are here."""
+        with self._changed:
+            return {member.physics for _, member in self._fleet.members()}
+
+    def actors(self) -> int:
+        with self._changed:
+            return len(self._fleet.members())
+
+    def refusals(self) -> dict[str, int]:
+        """Messages that were not used, by reason."""
+        with self._changed:
+            return dict(self._malformed + self._fleet.counts.refused)
+
+    # -- handlers, on Zenoh's threads ----------------------------------------------------------------------
+
+    def _on_join(self, request: Request) -> None:
+        try:
+            join = Join.decode(request.payload)
+            reply = self._join(join)
+        except CodecError as error:
+            self._count_malformed(error)
+            reply = self._no(str(error), final=error.reason == "schema")
+        except RefusedError as error:
+            reply = self._no(str(error), final=False)
+        request.reply(reply.encode())
+
+    def _join(self, join: Join) -> JoinReply:
+        if join.run not in ("", self._run):
+            return self._no(f"this learner runs {self._run!r}, not {join.run!r}", final=True)
+        with self._changed:
+            if self._fleet.finished:
+                return self._no(f"run {self._run!r} has finished", final=True)
+            slot = self._fleet.join(join.incarnation, join.physics, time.monotonic())
+            generation = slot.given - 1
+        self._on_event(
+            "info",
+            "actor_joined",
+            f"slot {slot.number} (generation {generation}): {join.physics} on {join.hardware.get('host', '?')}, "
+            f"incarnation {join.incarnation}",
+        )
+        settings = self._settings.model_dump_json()
+        return JoinReply(True, "", False, self._run, slot.number, generation, settings)
+
+    def _no(self, reason: str, *, final: bool) -> JoinReply:
+        return JoinReply(False, reason, final, self._run, 0, 0, "")
+
+    def _on_alive(self, key: str, alive: bool) -> None:
+        role, incarnation = parse_alive(key)
+        if role == "actor" and not alive:
+            self._lose(incarnation, "is gone")
+
+    def _lose(self, incarnation: str, why: str) -> None:
+        with self._changed:
+            slot, over = self._fleet.lose(incarnation), self._fleet.finished
+            self._changed.notify_all()
+        if slot is not None and not over:
+            self._on_event("warning", "actor_lost", f"slot {slot.number}: {incarnation} {why}")
+            self.announce()
+
+    def _on_heartbeat(self, key: str, data: bytes) -> None:
+        try:
+            beat = Heartbeat.decode(data)
+        except CodecError as error:
+            self._count_malformed(error)
+            return
+        with self._changed:
+            changed = self._fleet.heard(beat, time.monotonic())
+        if changed:
+            self.announce()
+
+    def _on_rollout(self, request: Request) -> None:
+        reply = self._take(request)
+        if reply is not None:
+            request.reply(reply.encode())
+
+    def _take(self, request: Request) -> PushReply | None:
+        """The answer to a pushed rollout, or None where the log's thread will give it."""
+        try:
+            rollout = Rollout.decode(request.payload)
+            rollout.check(self._shape)
+            if request.key != self._keys.rollout(rollout.slot):
+                raise CodecError("bad_key", f"a rollout of slot {rollout.slot} was pushed on {request.key}")
+        except CodecError as error:
+            self._count_malformed(error)
+            return PushReply("refused", f"{error.reason}: {error}")
+        if self._log.pending_bytes + len(request.payload) > self._settings.transport.queue_bytes:
+            return PushReply("busy", "the learner's queue is full")
+        with self._changed:
+            answer = self._fleet.admit(rollout)
+        if answer is None:
+            self._log.write("/rollout", request.payload, on_durable=lambda: self._logged(rollout, request))
+        return answer
+
+    def _logged(self, rollout: Rollout, request: Request) -> None:
+        """On the log's thread: the rollout is in the file."""
+        with self._changed:
+            self._fleet.accept(rollout)
+            self._changed.notify_all()
+        request.reply(ACCEPTED.encode())
+
+    def _on_evaluation(self, request: Request) -> None:
+        try:
+            evaluation = Evaluation.decode(request.payload)
+        except CodecError as error:
+            self._count_malformed(error)
+            request.reply(PushReply("refused", f"{error.reason}: {error}").encode())
+            return
+        with self._changed:
+            wanted = evaluation.version == self._fleet.version and self._fleet.holds(
+                evaluation.slot, evaluation.incarnation
+            )
+            if wanted and self._evaluation is None:
+                self._evaluation = evaluation
+                self._changed.notify_all()
+        reply = ACCEPTED if wanted else PushReply("refused", "stale: this evaluation was not asked for")
+        request.reply(reply.encode())
+
+    def _serve_snapshot(self, request: Request) -> None:
+        with self._changed:
+            data = self._snapshot
+        request.reply(data)
+
+    def _count_malformed(self, error: CodecError) -> None:
+        with self._changed:
+            self._malformed[error.reason] += 1
+
+
+def make_snapshot(run: str, version: int, arrays: dict) -> Snapshot:
+    """The snapshot of a version, with its digest."""
+    return Snapshot(run, version, digest_arrays(arrays), arrays)

@@ -1,0 +1,220 @@
+"""The learner's loop: collect, update, publish, log, until the run is done or asked to stop.
+
+The loop is a generator of updates; what is made of each (log, events, display, checkpoints) stands beside it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from common.log.records import encode_json
+from common.log.writer import LogWriter
+from common.settings import RunSettings
+from common.wire.messages import Evaluation, Rollout
+from services.learner.display import Display, Status
+from services.learner.hub import Hub, make_snapshot
+from services.learner.scalars import Scalars
+from services.learner.statistics import Episodes, TrainingReturn, actor_seconds
+from services.learner.trainer import Trainer
+
+TICK_S = 0.5
+"""How often a waiting learner repeats its orders and looks after its actors."""
+
+FAREWELL_S = 3.0
+"""How long actors are given to hear that the run is over."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One update and what went into it. `seconds` is by phase."""
+
+    version: int
+    digest: str
+    rollouts: list[Rollout]
+    metrics: dict[str, float]
+    seconds: dict[str, float]
+
+
+class Run:
+    """One training run from its first version to its last."""
+
+    def __init__(
+        self,
+        run: str,
+        settings: RunSettings,
+        trainer: Trainer,
+        hub: Hub,
+        log: LogWriter,
+        display: Display,
+        scalars: Scalars,
+        stop: threading.Event,
+        keep_checkpoint: Callable[[Trainer], None],
+    ) -> None:
+        self._run = run
+        self._settings = settings
+        self._trainer = trainer
+        self._hub = hub
+        self._log = log
+        self._display = display
+        self._scalars = scalars
+        self._stop = stop
+        self._keep_checkpoint = keep_checkpoint
+        self.returns = TrainingReturn(settings.updates)
+        self.physics: set[str] = set()
+        self.digest = trainer.digest()
+        self.trained_s = 0.0
+        self._began_s: float | None = None
+        self._centres = 0
+
+    @property
+    def env_steps(self) -> int:
+        return self._trainer.version * self._settings.batch_size
+
+    @property
+    def steps_per_s(self) -> float | None:
+        """Environment steps a second since the first rollout was begun; None before the first update."""
+        return self.env_steps / self.trained_s if self.trained_s else None
+
+    def train(self) -> bool:
+        """All updates; whether they were all made (else the run was asked to stop)."""
+        self._publish()
+        self._hub.open()
+        for step in self._steps():
+            self._record(step)
+        return self._trainer.version == self._settings.updates
+
+    def evaluate(self) -> Evaluation | None:
+        """The final policy without exploration noise, by one of the actors; None where stopped or not wanted."""
+        episodes = self._settings.evaluation.episodes
+        if not episodes:
+            return None
+        self._hub.ask_for_evaluation(episodes)
+        while not self._stop.is_set():
+            evaluation = self._hub.evaluation(TICK_S)
+            if evaluation is not None:
+                return evaluation
+            self._tick("evaluating", f"{episodes} episodes with the deterministic policy")
+        return None
+
+    def dismiss(self) -> None:
+        """Tell the actors that the run is over, and give them a moment to leave."""
+        deadline = time.monotonic() + FAREWELL_S
+        while True:
+            self._hub.finish()
+            if not self._hub.actors() or time.monotonic() > deadline:
+                return
+            time.sleep(0.1)
+
+    # -- the loop ------------------------------------------------------------------------------------------
+
+    def _steps(self) -> Iterator[Step]:
+        while self._trainer.version < self._settings.updates:
+            asked_s = time.monotonic()
+            rollouts = self._collect()
+            if rollouts is None:
+                return
+            got_s = time.monotonic()
+            if self._began_s is None:
+                self._began_s = got_s - max(sum(rollout.timing.values()) for rollout in rollouts)
+            metrics = self._trainer.update(rollouts)
+            updated_s = time.monotonic()
+            snapshot = self._publish()
+            published_s = time.monotonic()
+            self.trained_s = updated_s - self._began_s
+            version = self._trainer.version
+            # The actors are at work again; what follows costs the run nothing.
+            self.digest = self._trainer.digest()
+            if version % self._settings.log.policy_every == 0 or version == self._settings.updates:
+                self._log.write("/policy", snapshot)
+            if version % self._settings.log.checkpoint_every == 0 or version == self._settings.updates:
+                self._keep_checkpoint(self._trainer)
+            seconds = {
+                "wait": got_s - asked_s,
+                "learner": updated_s - got_s,
+                "publish": published_s - updated_s,
+                "record": time.monotonic() - published_s,
+            }
+            yield Step(version, self.digest, rollouts, metrics, seconds | _prefixed(actor_seconds(rollouts)))
+
+    def _collect(self) -> list[Rollout] | None:
+        """The rollouts of this version; None when the run is asked to stop."""
+        while not self._stop.is_set():
+            rollouts = self._hub.rollouts(TICK_S)
+            if rollouts is not None:
+                return rollouts
+            self._tick("training" if self._trainer.version else "starting", self._hub.waiting_for())
+        return None
+
+    def _tick(self, phase: str, text: str) -> None:
+        self._hub.announce()
+        self._hub.drop_silent()
+        self._show(phase, text)
+
+    def _publish(self) -> bytes:
+        return self._hub.begin(make_snapshot(self._run, self._trainer.version, self._trainer.policy_arrays()))
+
+    # -- what is made of an update -------------------------------------------------------------------------
+
+    def _record(self, step: Step) -> None:
+        episodes = Episodes.of(step.rollouts)
+        self.returns.add(step.version, episodes)
+        self.physics |= self._hub.engines()
+        if (record := episodes.record(step.version)) is not None:
+            self._log.write("/episode", record)
+        staleness = [step.version - 1 - rollout.policy_version for rollout in step.rollouts]
+        update = {
+            "version": step.version,
+            "env_steps": self.env_steps,
+            "rollouts": [
+                {
+                    "slot": rollout.slot,
+                    "incarnation": rollout.incarnation,
+                    "seq": rollout.seq,
+                    "policy_version": rollout.policy_version,
+                }
+                for rollout in step.rollouts
+            ],
+            "state_digest": step.digest,
+            "metrics": step.metrics,
+            "seconds": step.seconds,
+            "staleness": {
+                "min": min(staleness),
+                "mean": sum(staleness) / len(staleness),
+                "max": max(staleness),
+            },
+        }
+        self._log.write("/update", update)
+        self._hub.publish_metrics(encode_json(update))
+        self._centres = round(step.metrics.get("rkhs/centres", 0))
+        self._scalars.add(
+            self.env_steps,
+            step.metrics
+            | {f"seconds/{name}": value for name, value in step.seconds.items()}
+            | {"run/steps_per_s": self.steps_per_s, "run/return": self.returns.newest},
+        )
+        self._show("training", "")
+
+    def _show(self, phase: str, text: str) -> None:
+        status = Status(
+            phase=phase,
+            text=text,
+            version=self._trainer.version,
+            updates=self._settings.updates,
+            env_steps=self.env_steps,
+            total_steps=self._settings.updates * self._settings.batch_size,
+            steps_per_s=self.steps_per_s,
+            train_return=self.returns.newest,
+            staleness=0.0,
+            centres=self._centres,
+            capacity=self._settings.capacity,
+            actors=self._hub.actors(),
+            slots=self._settings.actors,
+        )
+        self._display.show(status)
+
+
+def _prefixed(seconds: dict[str, float]) -> dict[str, float]:
+    return {f"actor/{name}": value for name, value in seconds.items()}

@@ -1,0 +1,237 @@
+"""The learner as a process: opens log, session and display, runs, and leaves a summary."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from common.errors import LogWriteError, ReskpnError, SettingsError
+from common.log.writer import LogWriter
+from common.physics.assets import model_xml
+from common.runtime import hardware, prepare_jax, software_versions, source_commit
+from common.settings import RunSettings
+from common.wire.endpoint import is_loopback
+from common.wire.messages import Evaluation, Snapshot, digest_arrays
+from common.wire.session import open_session
+from services.learner.checkpoints import write_checkpoint
+from services.learner.display import Display, make_display
+from services.learner.hub import Hub
+from services.learner.run import Run
+from services.learner.scalars import Scalars
+from services.learner.trainer import Trainer
+
+SUMMARY = "summary.json"
+SETTINGS = "settings.json"
+INTERRUPTED = 130
+"""Exit code of a run that was asked to stop, as a shell reports Ctrl-C."""
+
+
+def run_learner(settings: RunSettings, *, stop: threading.Event) -> int:
+    """Serve one run to its end, in this process. Returns the exit code: 0, or 130 where `stop` was set.
+
+    Raises:
+        ReskpnError: anything that keeps the run from going on. The log is closed and whole then.
+    """
+    began_s = time.monotonic()
+    _refuse_open_doors(settings)
+    run_dir = prepare_run_dir(settings)
+    run = f"{settings.task}-{settings.learner}-s{settings.seed}-{secrets.token_hex(3)}"
+    prepare_jax()
+    with ExitStack() as stack:
+        session = stack.enter_context(
+            open_session(
+                listen=[settings.transport.endpoint],
+                max_message_size=settings.transport.max_message_bytes,
+                lease_s=settings.transport.lease_s,
+            )
+        )
+        failures: list[LogWriteError] = []
+
+        def on_log_error(error: LogWriteError) -> None:
+            failures.append(error)
+            stop.set()
+
+        log = stack.enter_context(_open_log(run, settings, run_dir, on_log_error))
+        display = make_display(
+            f"ResKPN {run}: {settings.learner} on {settings.task}, {settings.updates} updates of "
+            f"{settings.batch_size:,} steps\nlistening on {settings.transport.endpoint}; files in {run_dir}"
+        )
+        stack.callback(display.close)
+        scalars = Scalars(run_dir / "tensorboard")
+        stack.callback(scalars.close)
+        events = Events(log, display)
+        hub = Hub(run, settings, session, log, events.add)
+
+        def keep(trainer: Trainer) -> None:
+            arrays = trainer.state_arrays()
+            write_checkpoint(run_dir, Snapshot(run, trainer.version, digest_arrays(arrays), arrays))
+
+        trainer = Trainer(settings)
+        display.note("compiling the update ...")
+        trainer.compile()
+        loop = Run(run, settings, trainer, hub, log, display, scalars, stop, keep)
+        complete, evaluation = False, None
+        try:
+            complete = loop.train()
+            evaluation = loop.evaluate() if complete else None
+        except ReskpnError as error:
+            events.add("error", "run_failed", str(error))
+            raise
+        finally:
+            loop.dismiss()
+        if failures:
+            raise failures[0]
+        summary = summarise(settings, run_dir, run, loop, evaluation, time.monotonic() - began_s)
+        summary["complete"] = complete
+        if evaluation is not None:
+            log.write("/eval", _eval_record(evaluation))
+        log.flush(timeout_s=60.0)
+        write_json(run_dir / SUMMARY, summary)
+        display.close()
+        for line in describe(summary, run_dir):
+            display.note(line)
+    return 0 if complete else INTERRUPTED
+
+
+class Events:
+    """Things that happened to the run: into the log, and onto the screen."""
+
+    def __init__(self, log: LogWriter, display: Display) -> None:
+        self._log = log
+        self._display = display
+
+    def add(self, level: str, name: str, text: str) -> None:
+        self._display.note(f"{level}: {text}" if level != "info" else text)
+        try:
+            self._log.write("/event", {"level": level, "name": name, "text": text})
+        except LogWriteError:
+            return  # the log's own failure is what stops the run, and is reported by it
+
+
+def _refuse_open_doors(settings: RunSettings) -> None:
+    endpoint = settings.transport.endpoint
+    if not is_loopback(endpoint) and not settings.transport.insecure:
+        raise SettingsError(
+            f"transport.endpoint {endpoint} can be reached from other machines and has no authentication; listen on "
+            "tcp/127.0.0.1:<port>, or say --transport.insecure true if the network is trusted"
+        )
+
+
+def prepare_run_dir(settings: RunSettings) -> Path:
+    """The run's folder, made and empty. SettingsError where it holds another run or cannot be written."""
+    run_dir = settings.run_dir or default_run_dir(settings)
+    try:
+        run_dir.mkdir(parents=True, exist_ok=True)
+        taken = [name for name in (SUMMARY, SETTINGS, "log") if (run_dir / name).exists()]
+        if taken:
+            raise SettingsError(
+                f"run_dir {run_dir} already holds a run ({', '.join(taken)}); choose another directory, "
+                "or move that run away"
+            )
+        write_json(run_dir / SETTINGS, settings.model_dump(mode="json"))
+    except OSError as error:
+        raise SettingsError(
+            f"run_dir {run_dir} cannot be written ({error.strerror}); choose a directory that this user may write, "
+            "with --run-dir"
+        ) from None
+    return run_dir
+
+
+def default_run_dir(settings: RunSettings) -> Path:
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    return Path("runs") / f"{settings.task}-{settings.learner}-s{settings.seed}-{stamp}"
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write beside, sync, rename: the file is whole or absent."""
+    beside = path.with_suffix(path.suffix + ".part")
+    with beside.open("w") as file:
+        json.dump(content, file, indent=2)
+        file.write("\n")
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)
+
+
+def _open_log(run: str, settings: RunSettings, run_dir: Path, on_error: Any) -> LogWriter:
+    versions = software_versions()
+    commit = source_commit()
+    log = LogWriter(
+        run_dir / "log",
+        segment_bytes=settings.log.segment_bytes,
+        compression=settings.log.compression,
+        metadata={
+            "run": {"run": run, "commit": commit},
+            "settings": {"json": settings.model_dump_json()},
+            "versions": versions,
+            "hardware": hardware(),
+        },
+        attachments={f"{settings.task}.xml": ("application/xml", model_xml(settings.task).encode())},
+        on_error=on_error,
+    )
+    spec = {"run": run, "commit": commit, "settings": settings.model_dump(mode="json"), "versions": versions}
+    log.write("/spec", spec)
+    return log
+
+
+def summarise(
+    settings: RunSettings, run_dir: Path, run: str, loop: Run, evaluation: Evaluation | None, wall_s: float
+) -> dict[str, Any]:
+    """The run in one JSON object; evaluation figures are null where none took place."""
+    returns = None if evaluation is None else evaluation.episode_return
+    return {
+        "run": run,
+        "task": settings.task,
+        "learner": settings.learner,
+        "physics": "+".join(sorted(loop.physics)) or settings.physics,
+        "seed": settings.seed,
+        "actors": settings.actors,
+        "total_steps": loop.env_steps,
+        "updates": loop.env_steps // settings.batch_size,
+        "wall_s": round(wall_s, 3),
+        "env_steps_per_s": loop.steps_per_s,
+        "train_return_mean": loop.returns.late,
+        "train_episodes": loop.returns.episodes,
+        "eval_return_mean": None if returns is None else float(returns.mean()),
+        "eval_return_std": None if returns is None else float(returns.std()),
+        "eval_episodes": 0 if returns is None else len(returns),
+        "state_digest": loop.digest,
+        "log": str(run_dir / "log"),
+    }
+
+
+def describe(summary: dict[str, Any], run_dir: Path) -> Iterator[str]:
+    """The summary for a person."""
+    state = "finished" if summary["complete"] else "stopped early; the log is whole up to here"
+    speed = summary["env_steps_per_s"]
+    yield f"{summary['run']}: {state}"
+    yield (
+        f"  {summary['total_steps']:,} steps in {summary['updates']} updates, {summary['wall_s']:.0f} s in all"
+        + (f", {speed:,.0f} steps/s while training" if speed else "")
+    )
+    if summary["train_return_mean"] is not None:
+        yield f"  training return over the last tenth: {summary['train_return_mean']:,.1f}"
+    if summary["eval_episodes"]:
+        yield (
+            f"  evaluation: {summary['eval_return_mean']:,.1f} ± {summary['eval_return_std']:,.1f} "
+            f"over {summary['eval_episodes']} episodes with the deterministic policy"
+        )
+    yield f"  state digest {summary['state_digest']}"
+    yield f"  log {summary['log']}, summary {run_dir / SUMMARY}, curves {run_dir / 'tensorboard'}"
+
+
+def _eval_record(evaluation: Evaluation) -> dict[str, Any]:
+    return {
+        "version": evaluation.version,
+        "episodes": len(evaluation.episode_return),
+        "return_mean": float(evaluation.episode_return.mean()),
+        "return_std": float(evaluation.episode_return.std()),
+        "length_mean": float(evaluation.episode_length.mean()),
+    }
