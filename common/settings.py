@@ -21,7 +21,7 @@ KERNELS = ("gaussian",)
 
 def _whole(value: Any) -> Any:
     """Accept `3e6`, which YAML and shells hand over as text or float, as a whole number."""
-    if isinstance(value, str):
+    if isinstance(value, str) and not value.strip().isdecimal():  # digits alone are exact; a float might not be
         try:
             value = float(value)
         except ValueError:
@@ -31,6 +31,7 @@ def _whole(value: Any) -> Any:
 
 Count = Annotated[int, BeforeValidator(_whole), Field(ge=1)]
 Natural = Annotated[int, BeforeValidator(_whole), Field(ge=0)]
+Seed = Annotated[int, BeforeValidator(_whole), Field(ge=0, lt=2**32)]  # JAX drops higher bits: two seeds, one run
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -170,7 +171,7 @@ class RunSettings(Section):
     """environments over all actors"""
     num_steps: Count = 10
     """steps each environment takes for one update"""
-    seed: Natural = 0
+    seed: Seed = 0
     """seed of networks, environments and sampling"""
     mode: Literal["sync"] = "sync"
     """sync: every update uses rollouts of the newest policy only, and a run can be repeated bit for bit"""
@@ -216,7 +217,8 @@ class RunSettings(Section):
                 f"each actor runs num_envs / actors environments; try num_envs {_round_to(self.num_envs, self.actors)}"
             )
         if batch % minibatches:
-            divisors = [m for m in range(1, batch + 1) if batch % m == 0]
+            # The nearest divisor is no further away than 1 is.
+            divisors = [m for m in range(1, min(batch, 2 * minibatches) + 1) if batch % m == 0]
             near = min(divisors, key=lambda m: abs(m - minibatches))
             raise ValueError(
                 f"a batch of {batch} transitions (num_envs {self.num_envs} x num_steps {self.num_steps}) cannot be "

@@ -24,7 +24,7 @@ from pydantic_settings import (
 from pydantic_settings import SettingsError as SourceError
 
 from common.errors import SettingsError
-from common.settings import RunSettings
+from common.settings import RunSettings, Section
 from common.tasks import unknown_name
 
 PREFIX = "RESKPN_"
@@ -110,13 +110,19 @@ def _from_environment(environment: Mapping[str, str]) -> dict[str, Any]:
     try:
         return dict(source())
     except SourceError as error:
-        raise SettingsError(f"the environment's {PREFIX}... variables cannot be read: {error}") from None
+        raise SettingsError(
+            f"the environment's {PREFIX}... variables cannot be read: {error}; lists and sections are written as JSON, "
+            f"as in {PREFIX}ALGORITHM__HIDDEN=[256,256]"
+        ) from None
 
 
 def _is_stray(name: str) -> bool:
     """Whether a RESKPN_ variable is no setting; RESKPN_HOME_... of other tools would be a typo as well."""
-    head = name[len(PREFIX) :].split("__")[0].lower()
-    return head not in RunSettings.model_fields and name not in OTHER_VARIABLES
+    head, _, rest = name[len(PREFIX) :].lower().partition("__")
+    field = RunSettings.model_fields.get(head)
+    if field is None:
+        return name not in OTHER_VARIABLES
+    return bool(rest) and not isinstance(field.default, Section)
 
 
 OTHER_VARIABLES = frozenset({"RESKPN_CACHE_DIR"})
@@ -161,7 +167,7 @@ def _explain(error: ValidationError, places: list[tuple[str, dict[str, Any]]]) -
         name = ".".join(str(part) for part in fault["loc"])
         text = fault["msg"].removeprefix("Value error, ")
         if fault["type"] == "extra_forbidden":
-            text = unknown_name("setting", name.split(".")[-1], _siblings(name))
+            text = _unknown_setting(fault["loc"])
         elif name and not text.startswith(repr(fault["input"])):
             text = f"{fault['input']!r}: {text}"
         source = next((place for place, values in places if _holds(values, fault["loc"])), None)
@@ -171,17 +177,25 @@ def _explain(error: ValidationError, places: list[tuple[str, dict[str, Any]]]) -
 
 
 def _holds(values: Any, loc: tuple[int | str, ...]) -> bool:
+    """Whether a place gave the setting, or the list that it is an element of."""
     if not loc:
         return False
     for part in loc:
+        if isinstance(values, list | tuple):
+            return True
         if not isinstance(values, Mapping) or part not in values:
             return False
         values = values[part]
     return True
 
 
-def _siblings(name: str) -> list[str]:
+def _unknown_setting(loc: tuple[int | str, ...]) -> str:
+    """The sentence for a name that is no setting of its section."""
     model: Any = RunSettings
-    for part in name.split(".")[:-1]:
+    for part in loc[:-1]:
         model = model.model_fields[part].annotation
-    return list(model.model_fields)
+    given = str(loc[-1])
+    section, _, rest = given.partition(".")
+    if rest and section in model.model_fields:
+        return f"{given!r} is not a setting; in a file, write {rest!r} indented under {section!r}:"
+    return unknown_name("setting", given, model.model_fields)

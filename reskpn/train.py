@@ -121,7 +121,9 @@ class Crew:
 
     def _bury(self, post: Post, code: int) -> None:
         quick = time.monotonic() - post.started_s < QUICK_S
-        post.quick_deaths = post.quick_deaths + 1 if quick else 1
+        post.quick_deaths = post.quick_deaths + 1 if quick else 0
+        if post.process is not None:
+            _ask_to_stop(post.process)  # closes what is left of it here
         how = f"exit code {code}" if code >= 0 else f"signal {-code}"
         if code in HOPELESS or post.quick_deaths >= QUICK_DEATHS:
             last = self._words(post).read_text(errors="replace").strip().splitlines()[-5:]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -31,9 +32,7 @@ class Tower(nnx.Module):
 
     def __init__(self, inputs: int, widths: Sequence[int], rngs: nnx.Rngs) -> None:
         sizes = [inputs, *widths]
-        self.layers = nnx.List(
-            _dense(a, b, float(np.sqrt(2)), rngs) for a, b in zip(sizes[:-1], sizes[1:], strict=True)
-        )
+        self.layers = nnx.List(_dense(a, b, float(np.sqrt(2)), rngs) for a, b in itertools.pairwise(sizes))
 
     def __call__(self, x: Float[Array, "B inputs"]) -> Float[Array, "B d"]:
         for layer in self.layers:

@@ -26,6 +26,7 @@ class Heart:
         self._state: State = "compiling"
         self._since_s = time.monotonic()
         self._env_steps = 0
+        self._first_env_steps = 0
         self._first_step_s: float | None = None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
@@ -40,12 +41,12 @@ class Heart:
             self._beat()
 
     def stepped(self, env_steps: int) -> None:
-        """Environment steps that the learner took."""
+        """Environment steps that the learner took. The speed counts from when the first of them were there."""
         with self._lock:
             if self._first_step_s is None:
                 self._first_step_s = time.monotonic()
-            else:
-                self._env_steps += env_steps
+                self._first_env_steps = env_steps
+            self._env_steps += env_steps
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -77,7 +78,7 @@ class Heart:
                 state=self._state,
                 version=self.version,
                 env_steps=self._env_steps,
-                steps_per_s=self._env_steps / elapsed if elapsed else 0.0,
+                steps_per_s=(self._env_steps - self._first_env_steps) / elapsed if elapsed else 0.0,
                 state_s=now - self._since_s,
                 t_ns=time.time_ns(),
             )

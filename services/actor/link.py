@@ -159,7 +159,8 @@ class Link:
     def _on_learner(self, key: str, alive: bool) -> None:
         role, _ = parse_alive(key)
         with self._changed:
-            self._learner_gone = role == "learner" and not alive
+            # For good: a learner that comes back has seen this actor go, too, and has given up its slot.
+            self._learner_gone |= role == "learner" and not alive
             self._changed.notify_all()
 
 

@@ -50,24 +50,24 @@ def run_actor(
     jax.config.update("jax_cpu_enable_async_dispatch", False)
     engine = resolve_physics(physics)
     versions, machine = software_versions(), hardware()
-    deadline = None if connect_timeout_s is None else time.monotonic() + connect_timeout_s
     while not stop.is_set():
         # A session of its own for every life: nothing of an earlier one is declared on it.
         with open_session(
             connect=[transport.endpoint],
-            connect_timeout_s=None if deadline is None else max(0.1, deadline - time.monotonic()),
+            connect_timeout_s=connect_timeout_s,
             max_message_size=transport.max_message_bytes,
             lease_s=transport.lease_s,
         ) as session:
             member = join(session, run=run, physics=engine, versions=versions, hardware=machine, stop=stop, waiting=say)
             if member is None:
                 return 0
-            say(f"joined {member.run} as slot {member.slot} (generation {member.generation}) with {engine} physics")
+            physics = engine if member.settings.physics == "auto" else member.settings.physics
+            say(f"joined {member.run} as slot {member.slot} (generation {member.generation}) with {physics} physics")
             try:
                 finished = Life(session, member, transport, engine, threads, stop).live()
             except (Lost, SessionError) as error:
                 say(f"{error}; joining again")
-                deadline = None
+                connect_timeout_s = None  # there was a learner: wait for the next one for ever
                 continue
             if finished:
                 say("the run is over")

@@ -6,6 +6,7 @@ written beside, synced and renamed; the newest few are kept.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from pathlib import Path
@@ -41,7 +42,8 @@ def write_checkpoint(run_dir: Path, state: Snapshot) -> Path:
         for old in list_checkpoints(run_dir)[:-KEEP]:
             old.unlink()
     except OSError as error:
-        beside.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            beside.unlink()
         raise CheckpointError(
             f"cannot write the checkpoint {path}: {error.strerror}. Make room or fix its permissions; "
             "the log is whole and holds the run so far"

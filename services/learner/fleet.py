@@ -68,9 +68,11 @@ class Fleet:
         self._run = run
         self._slots = [Slot(number) for number in range(slots)]
         self._version = 0
+        self._collecting = True
         self._taken: dict[Place, Rollout] = {}
         self._under_way: dict[tuple[int, str, int], Place] = {}
         self._extra: Counter[int] = Counter()
+        self._gone: set[str] = set()
         self._evaluator: int | None = None
         self._episodes = 0
         self._finished = False
@@ -79,7 +81,10 @@ class Fleet:
     # -- joining and leaving -------------------------------------------------------------------------------
 
     def join(self, incarnation: str, physics: str, now_s: float) -> Slot:
-        """Give out the lowest free slot. RefusedError when none is free."""
+        """Give out the lowest free slot. RefusedError when none is free, or this incarnation has lost its slot."""
+        if incarnation in self._gone:
+            # Its rollouts would be taken for those of its first time in the slot.
+            raise RefusedError(f"{incarnation!r} was here before and has lost its slot; join under a new name")
         for slot in self._slots:
             if slot.member is not None and slot.member.incarnation == incarnation:
                 return slot
@@ -99,6 +104,7 @@ class Fleet:
         for slot in self._slots:
             if slot.member is not None and slot.member.incarnation == incarnation:
                 slot.member = None
+                self._gone.add(incarnation)
                 self.counts.lost += 1
                 if self._evaluator == slot.number:
                     self._evaluator = None
@@ -133,9 +139,10 @@ class Fleet:
 
     # -- the rollouts of a version -------------------------------------------------------------------------
 
-    def begin(self, version: int) -> None:
-        """Collect for this version from now on."""
+    def begin(self, version: int, *, collect: bool = True) -> None:
+        """Collect for this version from now on, or nothing any more (the last version of a run)."""
         self._version = version
+        self._collecting = collect
         self._taken.clear()
         self._extra.clear()
         self._share_out()
@@ -159,7 +166,7 @@ class Fleet:
             return ACCEPTED
         if rollout.policy_version != self._version:
             return self._refuse("stale", f"made with policy {rollout.policy_version}; policy {self._version} is wanted")
-        if len(self._taken) + len(self._under_way) >= len(self._slots):
+        if not self._collecting or len(self._taken) + len(self._under_way) >= len(self._slots):
             return self._refuse("surplus", f"policy {self._version} has all the rollouts it needs")
         if rollout.seq > member.next_seq:
             return self._refuse("gap", f"rollout {rollout.seq} came where {member.next_seq} is next")
@@ -192,11 +199,10 @@ class Fleet:
 
     def orders(self, *, digest: str, size: int, t_ns: int) -> Orders:
         """What is wanted now. `collect` counts from the version's start."""
-        evaluating = self._episodes > 0
         collect = {
             slot.number: 1 + self._extra[slot.number]
             for slot in self._slots
-            if slot.member is not None and not evaluating and not self._finished
+            if slot.member is not None and self._collecting and not self._finished
         }
         evaluator = {} if self._evaluator is None or self._finished else {self._evaluator: self._episodes}
         return Orders(self._run, self._version, digest, size, collect, evaluator, self._finished, t_ns)

@@ -79,12 +79,12 @@ class Hub:
 
     # -- for the learner's loop ----------------------------------------------------------------------------
 
-    def begin(self, snapshot: Snapshot) -> bytes:
-        """Publish a version and collect for it; returns the snapshot's bytes."""
+    def begin(self, snapshot: Snapshot, *, collect: bool = True) -> bytes:
+        """Publish a version and collect for it, or no more at all; returns the snapshot's bytes."""
         data = snapshot.encode()
         with self._changed:
             self._snapshot, self._digest = data, snapshot.digest
-            self._fleet.begin(snapshot.version)
+            self._fleet.begin(snapshot.version, collect=collect)
         self.announce()
         return data
 
@@ -115,7 +115,8 @@ class Hub:
         """Say what is wanted now. Said again and again by the loop, since a put may be lost."""
         with self._changed:
             orders = self._fleet.orders(digest=self._digest, size=len(self._snapshot), t_ns=time.time_ns())
-        self._orders.put(orders.encode())
+            # Under the condition, so that of two threads the one with the newer orders speaks last.
+            self._orders.put(orders.encode())
 
     def drop_silent(self) -> None:
         """Free the slots of actors that are connected but send no heartbeat."""
@@ -156,7 +157,7 @@ class Hub:
             reply = self._join(join)
         except CodecError as error:
             self._count_malformed(error)
-            reply = self._no(str(error), final=error.reason == "schema")
+            reply = self._no(str(error), final=True)
         except RefusedError as error:
             reply = self._no(str(error), final=False)
         request.reply(reply.encode())
@@ -164,15 +165,16 @@ class Hub:
     def _join(self, join: Join) -> JoinReply:
         if join.run not in ("", self._run):
             return self._no(f"this learner runs {self._run!r}, not {join.run!r}", final=True)
+        physics = join.physics if self._settings.physics == "auto" else self._settings.physics
         with self._changed:
             if self._fleet.finished:
                 return self._no(f"run {self._run!r} has finished", final=True)
-            slot = self._fleet.join(join.incarnation, join.physics, time.monotonic())
+            slot = self._fleet.join(join.incarnation, physics, time.monotonic())
             generation = slot.given - 1
         self._on_event(
             "info",
             "actor_joined",
-            f"slot {slot.number} (generation {generation}): {join.physics} on {join.hardware.get('host', '?')}, "
+            f"slot {slot.number} (generation {generation}): {physics} on {join.hardware.get('host', '?')}, "
             f"incarnation {join.incarnation}",
         )
         settings = self._settings.model_dump_json()

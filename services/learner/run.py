@@ -154,7 +154,8 @@ class Run:
         self._show(phase, text)
 
     def _publish(self) -> bytes:
-        return self._hub.begin(make_snapshot(self._run, self._trainer.version, self._trainer.policy_arrays()))
+        snapshot = make_snapshot(self._run, self._trainer.version, self._trainer.policy_arrays())
+        return self._hub.begin(snapshot, collect=self._trainer.version < self._settings.updates)
 
     # -- what is made of an update -------------------------------------------------------------------------
 

@@ -40,8 +40,7 @@ def run_learner(settings: RunSettings, *, stop: threading.Event) -> int:
         ReskpnError: anything that keeps the run from going on. The log is closed and whole then.
     """
     began_s = time.monotonic()
-    _refuse_open_doors(settings)
-    run_dir = prepare_run_dir(settings)
+    refuse_open_doors(settings)
     run = f"{settings.task}-{settings.learner}-s{settings.seed}-{secrets.token_hex(3)}"
     prepare_jax()
     with ExitStack() as stack:
@@ -52,6 +51,8 @@ def run_learner(settings: RunSettings, *, stop: threading.Event) -> int:
                 lease_s=settings.transport.lease_s,
             )
         )
+        # Only now: an address that is in use leaves no directory behind that looks like a run.
+        run_dir = prepare_run_dir(settings)
         failures: list[LogWriteError] = []
 
         def on_log_error(error: LogWriteError) -> None:
@@ -115,7 +116,7 @@ class Events:
             return  # the log's own failure is what stops the run, and is reported by it
 
 
-def _refuse_open_doors(settings: RunSettings) -> None:
+def refuse_open_doors(settings: RunSettings) -> None:
     endpoint = settings.transport.endpoint
     if not is_loopback(endpoint) and not settings.transport.insecure:
         raise SettingsError(

@@ -1,0 +1,42 @@
+"""Fresh processes for measurements: no memory, compiled program or setting of an earlier one is left in them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from common.errors import ProcessError
+from common.settings_sources import OTHER_VARIABLES, PREFIX
+
+_ROOT = Path(__file__).parent.parent
+
+
+def run_module(module: str, arguments: Sequence[str]) -> str:
+    """What `python -m module arguments...` prints. The environment's settings do not reach it.
+
+    Raises:
+        ProcessError: it fails; its last words are in the message.
+    """
+    command = [sys.executable, "-m", module, *arguments]
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith(PREFIX) or name in OTHER_VARIABLES
+    }
+    done = subprocess.run(command, cwd=_ROOT, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        last = (done.stdout + done.stderr).strip().splitlines()[-8:]
+        raise ProcessError(
+            f"{' '.join(command[1:])} ended with exit code {done.returncode}; its last words:\n"
+            + "\n".join(f"  {line}" for line in last)
+        )
+    return done.stdout
+
+
+def run_json(module: str, arguments: Sequence[str]) -> dict[str, Any]:
+    """The JSON object on the last line that `python -m module arguments...` prints; ProcessError as above."""
+    result: dict[str, Any] = json.loads(run_module(module, arguments).splitlines()[-1])
+    return result

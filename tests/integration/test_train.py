@@ -1,0 +1,185 @@
+"""What a whole run promises: learner and actors as processes, Zenoh between them, the log on disk."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from small_runs import ACTORS, BATCH, ENVS, STEPS, Training, start
+
+from common.log.reader import LogReader
+from common.settings_sources import parse_json
+from common.wire.messages import Rollout
+from services.learner.checkpoints import list_checkpoints, read_checkpoint
+from services.learner.trainer import Trainer
+
+UPDATES = 12
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Training:
+    """A run that was left alone to its end."""
+    training = start(tmp_path_factory.mktemp("run") / "a", updates=UPDATES)
+    code, output = training.finish()
+    assert code == 0, output
+    return training
+
+
+def used_rollouts(run_dir: Path) -> list[list[Rollout]]:
+    """For each update the rollouts it names, out of the log, in its order."""
+    rollouts = {}
+    updates = []
+    for message in LogReader(run_dir).messages(["/rollout", "/update"]):
+        if message.topic == "/rollout":
+            rollout = Rollout.decode(message.data)
+            assert rollout.key not in rollouts, "a rollout is logged once"
+            rollouts[rollout.key] = rollout
+        else:
+            names = [(used["slot"], used["incarnation"], used["seq"]) for used in message.json()["rollouts"]]
+            # Written ahead: a rollout is in the log before the update that uses it.
+            updates.append([rollouts[name] for name in names])
+    assert Counter(rollout.key for update in updates for rollout in update).most_common(1)[0][1] == 1
+    return updates
+
+
+def replayed_digests(run_dir: Path) -> list[str]:
+    """The state digests that result from the logged rollouts alone, update by update."""
+    settings = parse_json(LogReader(run_dir).metadata()["settings"]["json"])
+    trainer = Trainer(settings)
+    digests = []
+    for rollouts in used_rollouts(run_dir):
+        trainer.update(rollouts)
+        digests.append(trainer.digest())
+    return digests
+
+
+def test_summary(finished: Training) -> None:
+    """A run ends with its figures in summary.json."""
+    summary = finished.summary
+    assert summary["complete"] is True
+    assert (summary["task"], summary["learner"], summary["physics"]) == ("inverted_pendulum", "reskpn", "native")
+    assert summary["total_steps"] == UPDATES * BATCH
+    assert summary["updates"] == UPDATES
+    assert summary["eval_episodes"] == 32
+    # Every step of inverted_pendulum is worth 1 and an episode is cut at 40.
+    assert isinstance(summary["eval_return_mean"], float)
+    assert 1.0 <= summary["eval_return_mean"] <= 40.0
+    assert isinstance(summary["env_steps_per_s"], float)
+    assert summary["env_steps_per_s"] > 0
+
+
+def test_log_holds_exactly_what_updates_used(finished: Training) -> None:
+    """The log holds every transition that an update used, once, and no other; and they give the same states."""
+    updates = used_rollouts(finished.run_dir)
+    assert len(updates) == UPDATES
+    for version, rollouts in enumerate(updates):
+        assert [rollout.slot for rollout in rollouts] == list(range(ACTORS))
+        assert {rollout.policy_version for rollout in rollouts} == {version}
+        assert sum(rollout.reward.size for rollout in rollouts) == BATCH
+        assert {rollout.obs.shape for rollout in rollouts} == {(STEPS, ENVS // ACTORS, 4)}
+    assert LogReader(finished.run_dir).counts()["/rollout"] == UPDATES * ACTORS
+    logged = [update["state_digest"] for update in finished.updates()]
+    assert replayed_digests(finished.run_dir) == logged
+    assert logged[-1] == finished.summary["state_digest"]
+
+
+def test_environments_go_on_from_rollout_to_rollout(finished: Training) -> None:
+    """A rollout starts at the observation where its slot's last one ended: no step is lost between them."""
+    updates = used_rollouts(finished.run_dir)
+    for before, after in itertools.pairwise(updates):
+        for old, new in zip(before, after, strict=True):
+            assert (old.last_obs == new.obs[0]).all()
+
+
+def test_log_explains_itself(finished: Training) -> None:
+    """The log carries settings, versions and the model, and ends without a torn tail."""
+    reader = LogReader(finished.run_dir)
+    assert not reader.torn
+    assert {"run", "settings", "versions", "hardware"} <= set(reader.metadata())
+    assert reader.metadata()["versions"]["jax"] != "absent"
+    kind, model = reader.attachments()["inverted_pendulum.xml"]
+    assert kind == "application/xml"
+    assert b"<mujoco" in model
+    counts = reader.counts()
+    assert counts["/spec"] == 1
+    assert counts["/eval"] == 1
+    assert counts["/policy"] == 2  # version 10 and the last
+
+
+def test_checkpoints_are_states_of_the_run(finished: Training) -> None:
+    """A checkpoint's digest is the one the log has for its version, and a learner can go on from it."""
+    logged = {update["version"]: update["state_digest"] for update in finished.updates()}
+    kept = [read_checkpoint(path) for path in list_checkpoints(finished.run_dir)]
+    assert [state.version for state in kept] == [5, 10, 12]
+    assert [state.digest for state in kept] == [logged[5], logged[10], logged[12]]
+    trainer = Trainer(parse_json(LogReader(finished.run_dir).metadata()["settings"]["json"]))
+    trainer.restore(kept[1].arrays)
+    for rollouts in used_rollouts(finished.run_dir)[10:]:
+        trainer.update(rollouts)
+    assert trainer.digest() == finished.summary["state_digest"]
+
+
+def test_same_seed_same_bits(finished: Training, tmp_path: Path) -> None:
+    """Sync mode: the same seed and number of actors end in the same state, and another seed does not."""
+    again, other = start(tmp_path / "again", updates=UPDATES), start(tmp_path / "other", "--seed", "1", updates=2)
+    for training in (again, other):
+        code, output = training.finish()
+        assert code == 0, output
+    assert again.summary["state_digest"] == finished.summary["state_digest"]
+    assert again.summary["eval_return_mean"] == finished.summary["eval_return_mean"]
+    assert other.updates()[1]["state_digest"] != finished.updates()[1]["state_digest"]
+
+
+def test_killed_actor_does_not_stop_a_run(tmp_path: Path) -> None:
+    """With an actor killed midway the run completes, and every update still used whole rollouts of its version."""
+    training = start(tmp_path / "run", updates=400)
+    training.wait_for(lambda: len(training.updates()) >= 5)
+    victim = training.children()["actor"][0]
+    os.kill(victim, signal.SIGKILL)
+    code, output = training.finish()
+    assert code == 0, output
+    assert "starting it again" in output
+    assert training.summary["updates"] == 400
+    events = [message.json()["name"] for message in LogReader(training.run_dir).messages(["/event"])]
+    assert "actor_lost" in events
+    for version, rollouts in enumerate(used_rollouts(training.run_dir)):
+        assert len(rollouts) == ACTORS
+        assert {rollout.policy_version for rollout in rollouts} == {version}
+    assert replayed_digests(training.run_dir)[-1] == training.summary["state_digest"]
+
+
+def test_ctrl_c_ends_cleanly(tmp_path: Path) -> None:
+    """Ctrl-C: exit code 130, a finished log with all that was used, a summary that says so, no process left."""
+    training = start(tmp_path / "run", updates=100_000)
+    training.wait_for(lambda: len(training.updates()) >= 3)
+    processes = [pid for pids in training.children().values() for pid in pids]
+    assert len(processes) == 1 + ACTORS
+    training.process.send_signal(signal.SIGINT)
+    code, output = training.finish()
+    assert code == 130, output
+    summary = training.summary
+    assert summary["complete"] is False
+    assert summary["eval_return_mean"] is None
+    reader = LogReader(training.run_dir)
+    assert not reader.torn
+    assert reader.counts()["/update"] == summary["updates"]
+    assert not [pid for pid in processes if Path(f"/proc/{pid}").exists()]
+
+
+def test_dead_learner_ends_the_run(tmp_path: Path) -> None:
+    """A learner that is killed takes the run with it: an exit code that says so, and no actor left behind."""
+    training = start(tmp_path / "run", updates=100_000)
+    training.wait_for(lambda: len(training.updates()) >= 3)
+    children = training.children()
+    os.kill(children["learner"][0], signal.SIGKILL)
+    code, output = training.finish()
+    assert code == 128 + signal.SIGKILL, output
+    assert not (training.run_dir / "summary.json").exists()
+    assert not [pid for pid in children["actor"] if Path(f"/proc/{pid}").exists()]
+    # What was written is whole: the states follow from it.
+    logged = [update["state_digest"] for update in training.updates()]
+    assert replayed_digests(training.run_dir)[: len(logged)] == logged

@@ -1,0 +1,237 @@
+"""What the learner's process does around a run: its directory, its doors, its summary."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from samples import settings
+
+from common.errors import LogWriteError, SessionError, SettingsError
+from common.log.reader import LogReader
+from common.log.writer import LogWriter
+from common.wire.messages import Evaluation
+from services.learner import service
+from services.learner.service import (
+    Events,
+    default_run_dir,
+    describe,
+    prepare_run_dir,
+    refuse_open_doors,
+    summarise,
+    write_json,
+)
+from services.learner.statistics import TrainingReturn
+
+# -- the run's directory -----------------------------------------------------------------------------------
+
+
+def test_a_run_directory_is_made_and_holds_the_settings(tmp_path: Path) -> None:
+    """With its parents; `settings.json` is the settings, whole."""
+    given = settings(run_dir=tmp_path / "a" / "b", seed=5)
+    assert prepare_run_dir(given) == tmp_path / "a" / "b"
+    assert json.loads((tmp_path / "a" / "b" / "settings.json").read_text()) == given.model_dump(mode="json")
+
+
+def test_an_empty_directory_will_do(tmp_path: Path) -> None:
+    """One that is there, also with other things in it, is taken."""
+    (tmp_path / "notes.txt").write_text("mine")
+    assert prepare_run_dir(settings(run_dir=tmp_path)) == tmp_path
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["summary.json", "settings.json", "log"])
+def test_a_directory_that_holds_a_run_is_refused(tmp_path: Path, name: str) -> None:
+    """Nothing of an older run is overwritten; the message says by what it was known."""
+    (tmp_path / name).write_text("older")
+    with pytest.raises(SettingsError, match=rf"already holds a run \({name}\); choose another directory"):
+        prepare_run_dir(settings(run_dir=tmp_path))
+    assert (tmp_path / name).read_text() == "older"
+
+
+def test_a_directory_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    """A sentence with the reason, and what to do."""
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SettingsError, match=r"file/run cannot be written \(Not a directory\); choose .* --run-dir"):
+        prepare_run_dir(settings(run_dir=tmp_path / "file" / "run"))
+
+
+def test_the_default_directory_names_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Task, learner, seed and time, under runs/."""
+    monkeypatch.setattr(service, "time", SimpleNamespace(strftime=lambda form: "20250102-030405"))
+    given = settings(task="hopper", learner="ppo", seed=3)
+    assert default_run_dir(given) == Path("runs/hopper-ppo-s3-20250102-030405")
+
+
+def test_json_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was there stays until the new content is on the disk."""
+    path = tmp_path / "summary.json"
+    write_json(path, {"a": 1})
+    assert json.loads(path.read_text()) == {"a": 1}
+    assert list(tmp_path.iterdir()) == [path]
+
+    def full(descriptor: int) -> None:
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr(service.os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_json(path, {"a": 2})
+    assert json.loads(path.read_text()) == {"a": 1}
+
+
+# -- who can reach it --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "tcp/localhost:7447"])
+def test_loopback_needs_no_authentication(endpoint: str) -> None:
+    """Only processes of this machine reach it."""
+    refuse_open_doors(settings(transport={"endpoint": endpoint}))
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7447", "tcp/192.0.2.1:7447", "tcp/learner.example:7447"])
+def test_an_open_door_is_refused_unless_it_is_wanted(endpoint: str) -> None:
+    """Beyond this machine the user must say that it may be so."""
+    with pytest.raises(SettingsError, match=r"has no authentication; listen on .* or say --transport\.insecure true"):
+        refuse_open_doors(settings(transport={"endpoint": endpoint}))
+    refuse_open_doors(settings(transport={"endpoint": endpoint, "insecure": True}))
+
+
+def test_what_is_no_address_is_refused() -> None:
+    """With an example of one."""
+    with pytest.raises(SessionError, match=r"'7447' is not an address: .* as in tcp/127\.0\.0\.1:7447"):
+        refuse_open_doors(settings(transport={"endpoint": "7447"}))
+
+
+# -- the summary -------------------------------------------------------------------------------------------
+
+
+def finished_run(**changes: Any) -> Any:
+    """What `summarise` reads of a run: 10 updates of 12 steps, of which the last ended an episode of return 8."""
+    returns = TrainingReturn(10, late_sum=8.0, late_count=1, episodes=3)
+    values = {"physics": {"native"}, "env_steps": 120, "steps_per_s": 60.0, "returns": returns, "digest": "ab12"}
+    return SimpleNamespace(**values | changes)
+
+
+EVALUATION = Evaluation("r", 0, "a", 10, np.array([10, 30], np.float32), np.array([5, 7], np.int32))
+
+
+def test_the_summary_of_a_run(tmp_path: Path) -> None:
+    """All figures in one JSON object. Evaluation: mean of 10 and 30 is 20, standard deviation 10."""
+    given = settings(seed=4)
+    summary = summarise(given, tmp_path, "run-1", finished_run(), EVALUATION, 2.0004)
+    assert json.loads(json.dumps(summary)) == {
+        "run": "run-1",
+        "task": "inverted_pendulum",
+        "learner": "reskpn",
+        "physics": "native",
+        "seed": 4,
+        "actors": 2,
+        "total_steps": 120,
+        "updates": 10,
+        "wall_s": 2.0,
+        "env_steps_per_s": 60.0,
+        "train_return_mean": 8.0,
+        "train_episodes": 3,
+        "eval_return_mean": 20.0,
+        "eval_return_std": 10.0,
+        "eval_episodes": 2,
+        "state_digest": "ab12",
+        "log": str(tmp_path / "log"),
+    }
+
+
+def test_the_summary_of_a_run_that_was_stopped_at_once(tmp_path: Path) -> None:
+    """What did not take place is null; the engine is the one that was asked for, and mixed engines are all named."""
+    early = finished_run(physics=set(), env_steps=0, steps_per_s=None, returns=TrainingReturn(10))
+    summary = summarise(settings(), tmp_path, "run-1", early, None, 1.0)
+    nothing = ("env_steps_per_s", "train_return_mean", "eval_return_mean", "eval_return_std")
+    assert [summary[name] for name in nothing] == [None] * 4
+    assert (summary["eval_episodes"], summary["updates"], summary["physics"]) == (0, 0, "native")
+    mixed = summarise(settings(), tmp_path, "run-1", finished_run(physics={"native", "mjx"}), None, 1.0)
+    assert mixed["physics"] == "mjx+native"
+
+
+def test_the_summary_for_a_person(tmp_path: Path) -> None:
+    """State, steps, speed, returns, digest and where the files are."""
+    summary = summarise(settings(), tmp_path, "run-1", finished_run(), EVALUATION, 2.0) | {"complete": True}
+    assert list(describe(summary, tmp_path)) == [
+        "run-1: finished",
+        "  120 steps in 10 updates, 2 s in all, 60 steps/s while training",
+        "  training return over the last tenth: 8.0",
+        "  evaluation: 20.0 ± 10.0 over 2 episodes with the deterministic policy",
+        "  state digest ab12",
+        f"  log {tmp_path / 'log'}, summary {tmp_path / 'summary.json'}, curves {tmp_path / 'tensorboard'}",
+    ]
+
+
+def test_the_summary_of_a_stopped_run_for_a_person(tmp_path: Path) -> None:
+    """Says so, and that the log is whole; without figures that there are not."""
+    early = finished_run(env_steps=0, steps_per_s=None, returns=TrainingReturn(10))
+    summary = summarise(settings(), tmp_path, "run-1", early, None, 1.0) | {"complete": False}
+    lines = list(describe(summary, tmp_path))
+    assert lines[:2] == ["run-1: stopped early; the log is whole up to here", "  0 steps in 0 updates, 1 s in all"]
+    assert len(lines) == 4
+
+
+# -- events ------------------------------------------------------------------------------------------------
+
+
+class Screen:
+    """Keeps the notes; shows nothing."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+    def show(self, status: object) -> None:
+        """Not of interest here."""
+
+    def close(self) -> None:
+        """Nothing to put back."""
+
+
+def test_events_go_to_the_log_and_the_screen(tmp_path: Path) -> None:
+    """Level, name and text in the log; on the screen the level only where it is more than information."""
+    screen = Screen()
+    with LogWriter(tmp_path / "log") as log:
+        events = Events(log, screen)
+        events.add("info", "actor_joined", "slot 0")
+        events.add("warning", "actor_lost", "slot 0 is gone")
+    assert screen.notes == ["slot 0", "warning: slot 0 is gone"]
+    assert [message.json() for message in LogReader(tmp_path / "log").messages({"/event"})] == [
+        {"level": "info", "name": "actor_joined", "text": "slot 0"},
+        {"level": "warning", "name": "actor_lost", "text": "slot 0 is gone"},
+    ]
+
+
+def test_an_event_is_shown_when_the_log_is_closed(tmp_path: Path) -> None:
+    """The log's failure is reported by itself; what is told meanwhile must not hide it."""
+    screen = Screen()
+    log = LogWriter(tmp_path / "log")
+    log.close()
+    with pytest.raises(LogWriteError):
+        log.write("/event", {})
+    Events(log, screen).add("error", "run_failed", "why")
+    assert screen.notes == ["error: why"]
+
+
+def test_a_run_that_cannot_listen_leaves_no_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A port in use is found before anything is written, so that the same command works once it is free."""
+    monkeypatch.setattr(service, "prepare_jax", lambda: None)
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        endpoint = f"tcp/127.0.0.1:{other.getsockname()[1]}"
+        given = settings(run_dir=tmp_path / "run", transport={"endpoint": endpoint})
+        with pytest.raises(SessionError, match=r"port \d+ of .* is in use"):
+            service.run_learner(given, stop=threading.Event())
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,69 @@
+"""Small settings and well-formed messages for the tests of the services."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from common.settings import RunSettings
+from common.wire.messages import Evaluation, Heartbeat, Join, Rollout, Snapshot, digest_arrays
+
+RUN = "run-1"
+
+
+def settings(**changes: Any) -> RunSettings:
+    """Two actors with two inverted pendulums each (O = 4, A = 1), three steps a rollout, ten updates."""
+    sizes = {"actors": 2, "num_envs": 4, "num_steps": 3, "total_steps": 120}
+    small = {"algorithm": {"hidden": (8, 8), "minibatches": 2}, "physics": "native"}
+    return RunSettings.model_validate(sizes | small | changes)
+
+
+def rollout(slot: int = 0, incarnation: str = "a", seq: int = 0, policy_version: int = 0, **changes: Any) -> Rollout:
+    """A rollout of `settings()`: T = 3, N = 2, O = 4, A = 1. Its numbers are the same for the same names."""
+    rng = np.random.default_rng([slot, seq, policy_version, *incarnation.encode()])
+
+    def draw(*shape: int) -> np.ndarray:
+        return rng.standard_normal(shape).astype(np.float32)
+
+    values: dict[str, Any] = {
+        "run": RUN,
+        "slot": slot,
+        "incarnation": incarnation,
+        "seq": seq,
+        "policy_version": policy_version,
+        "t_ns": 1,
+        "obs": draw(3, 2, 4),
+        "action": draw(3, 2, 1),
+        "log_prob": draw(3, 2),
+        "reward": draw(3, 2),
+        "terminated": np.zeros((3, 2), bool),
+        "truncated": np.zeros((3, 2), bool),
+        "last_obs": draw(2, 4),
+        "truncated_obs": np.zeros((0, 4), np.float32),
+        "episode_return": np.zeros(0, np.float32),
+        "episode_length": np.zeros(0, np.int32),
+        "timing": {"collect": 0.25, "physics": 0.5},
+    }
+    return Rollout(**values | changes)
+
+
+def heartbeat(slot: int = 0, incarnation: str = "a", state: str = "waiting", **changes: Any) -> Heartbeat:
+    values: dict[str, Any] = {"version": 0, "env_steps": 0, "steps_per_s": 0.0, "state_s": 0.0, "t_ns": 1}
+    return Heartbeat(**{"run": RUN, "slot": slot, "incarnation": incarnation, "state": state} | values | changes)
+
+
+def evaluation(slot: int = 0, incarnation: str = "a", version: int = 0) -> Evaluation:
+    """Two episodes: returns 10 and 30, lengths 5 and 7."""
+    returns, lengths = np.array([10, 30], np.float32), np.array([5, 7], np.int32)
+    return Evaluation(RUN, slot, incarnation, version, returns, lengths)
+
+
+def question(incarnation: str = "a", **changes: Any) -> Join:
+    values = {"run": "", "role": "actor", "versions": {"python": "3.11"}, "hardware": {"host": "here"}}
+    return Join(**{"incarnation": incarnation, "physics": "native"} | values | changes)
+
+
+def snapshot(version: int = 0) -> Snapshot:
+    arrays = {"parameters/w": np.full((2, 3), version, np.float32), "count": np.array(version, np.int32)}
+    return Snapshot(RUN, version, digest_arrays(arrays), arrays)
