@@ -1,0 +1,59 @@
+"""Write docs/settings.md from the settings themselves: `python -m scripts.document_settings`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from common.settings import RunSettings, Section
+from common.settings_sources import PREFIX
+
+PAGE = Path(__file__).parent.parent / "docs" / "settings.md"
+
+HEAD = f"""\
+# Settings
+
+Made by `python -m scripts.document_settings`; a test holds it against the code.
+
+A setting `algorithm.gamma` is `--algorithm.gamma 0.995` on the command line, `{PREFIX}ALGORITHM__GAMMA=0.995` in the
+environment, and in the file given by `--config`:
+
+```yaml
+algorithm:
+  gamma: 0.995
+```
+
+The command line wins over the environment, the environment over the file, the file over the defaults. Whole numbers may
+be written as `3e6`. `--config paper` takes the paper's Table 1 (`reskpn/presets/paper.yaml`).
+"""
+
+
+def page() -> str:
+    """The whole page."""
+    parts = [HEAD, _table("The run", RunSettings, "")]
+    for name, field in RunSettings.model_fields.items():
+        if isinstance(field.default, Section):
+            parts.append(_table(f"`{name}`", type(field.default), f"{name}."))
+    return "\n".join(parts)
+
+
+def _table(title: str, section: type[Section], prefix: str) -> str:
+    text = " ".join((section.__doc__ or "").split())
+    rows = [
+        f"| `{prefix}{name}` | {_default(field.default)} | {field.description} |"
+        for name, field in section.model_fields.items()
+        if not isinstance(field.default, Section)
+    ]
+    return "\n".join([f"## {title}", "", text, "", "| setting | default | meaning |", "| --- | --- | --- |", *rows, ""])
+
+
+def _default(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, tuple):
+        value = list(value)
+    return f"`{value:,}`" if isinstance(value, int) and value >= 10_000 else f"`{value}`"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page())
