@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from common.errors import PhysicsError, ProcessError, RefusedError, SettingsError
+from common.run_directory import claim_run_dir, default_run_dir
 from common.settings import RunSettings
 from common.settings_sources import OTHER_VARIABLES, PREFIX
 from common.wire.endpoint import free_port
 from reskpn.supervised import stopping
-from services.learner.service import default_run_dir
 
 POLL_S = 0.1
 GRACE_S = 20.0
@@ -34,10 +34,14 @@ HOPELESS = {SettingsError.exit_code, RefusedError.exit_code, PhysicsError.exit_c
 def train(settings: RunSettings) -> int:
     """Run to the end and return the learner's exit code.
 
+    Actors are started beside the learner, not after it: all of them take seconds to load.
+
     Raises:
+        SettingsError: the run directory holds another run, or cannot be written.
         ProcessError: an actor cannot be kept alive.
     """
     settings = resolved(settings)
+    claim_run_dir(settings)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="reskpn-")))
         config = folder / "settings.json"
@@ -91,8 +95,6 @@ class Crew:
         Raises:
             ProcessError: an actor fails for good; its last words are in the message.
         """
-        if not (self._run_dir / "settings.json").exists():
-            return  # the learner has yet to say that the run is possible
         for post in self.posts:
             if post.process is None:
                 self._start(post)

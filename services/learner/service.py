@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 import secrets
 import threading
 import time
@@ -15,6 +13,7 @@ from typing import Any
 from common.errors import LogWriteError, ReskpnError, SettingsError
 from common.log.writer import LogWriter
 from common.physics.assets import model_xml
+from common.run_directory import SUMMARY, prepare_run_dir, write_json
 from common.runtime import hardware, prepare_jax, software_versions, source_commit
 from common.settings import RunSettings
 from common.wire.endpoint import is_loopback
@@ -27,8 +26,6 @@ from services.learner.run import Run
 from services.learner.scalars import Scalars
 from services.learner.trainer import Trainer
 
-SUMMARY = "summary.json"
-SETTINGS = "settings.json"
 INTERRUPTED = 130
 """Exit code of a run that was asked to stop, as a shell reports Ctrl-C."""
 
@@ -123,42 +120,6 @@ def refuse_open_doors(settings: RunSettings) -> None:
             f"transport.endpoint {endpoint} can be reached from other machines and has no authentication; listen on "
             "tcp/127.0.0.1:<port>, or say --transport.insecure true if the network is trusted"
         )
-
-
-def prepare_run_dir(settings: RunSettings) -> Path:
-    """The run's folder, made and empty. SettingsError where it holds another run or cannot be written."""
-    run_dir = settings.run_dir or default_run_dir(settings)
-    try:
-        run_dir.mkdir(parents=True, exist_ok=True)
-        taken = [name for name in (SUMMARY, SETTINGS, "log") if (run_dir / name).exists()]
-        if taken:
-            raise SettingsError(
-                f"run_dir {run_dir} already holds a run ({', '.join(taken)}); choose another directory, "
-                "or move that run away"
-            )
-        write_json(run_dir / SETTINGS, settings.model_dump(mode="json"))
-    except OSError as error:
-        raise SettingsError(
-            f"run_dir {run_dir} cannot be written ({error.strerror}); choose a directory that this user may write, "
-            "with --run-dir"
-        ) from None
-    return run_dir
-
-
-def default_run_dir(settings: RunSettings) -> Path:
-    stamp = time.strftime("%Y%m%d-%H%M%S")
-    return Path("runs") / f"{settings.task}-{settings.learner}-s{settings.seed}-{stamp}"
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write beside, sync, rename: the file is whole or absent."""
-    beside = path.with_suffix(path.suffix + ".part")
-    with beside.open("w") as file:
-        json.dump(content, file, indent=2)
-        file.write("\n")
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
 
 
 def _open_log(run: str, settings: RunSettings, run_dir: Path, on_error: Any) -> LogWriter:

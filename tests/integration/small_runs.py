@@ -8,7 +8,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,7 +40,7 @@ class Training:
     process: subprocess.Popen[str]
     run_dir: Path
 
-    def finish(self, timeout_s: float = 120.0) -> tuple[int, str]:
+    def finish(self, timeout_s: float = 240.0) -> tuple[int, str]:
         """The exit code, and all that was printed."""
         output, _ = self.process.communicate(timeout=timeout_s)
         return self.process.returncode, output
@@ -55,7 +56,7 @@ class Training:
             return []
         return [message.json() for message in LogReader(self.run_dir).messages(["/update"])]
 
-    def wait_for(self, condition: Callable[[], object], deadline_s: float = 90.0) -> None:
+    def wait_for(self, condition: Callable[[], object], deadline_s: float = 240.0) -> None:
         """Until the condition holds; the process must be alive meanwhile."""
         end = time.monotonic() + deadline_s
         while not condition():
@@ -75,12 +76,18 @@ class Training:
         return found
 
 
-def start(run_dir: Path, *options: str, updates: int = 12) -> Training:
-    """Begin a small run of so many updates."""
+@contextmanager
+def small_run(run_dir: Path, *options: str, updates: int = 12) -> Iterator[Training]:
+    """A small run of so many updates, begun; it does not outlive the test."""
     command = [sys.executable, "-m", "reskpn", "train", "--run-dir", str(run_dir), *SMALL]
     command += ["--total-steps", str(BATCH * updates), "--evaluation.episodes", "32", *options]
     environment = {name: value for name, value in os.environ.items() if not name.startswith("RESKPN_")}
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, cwd=run_dir.parent
     )
-    return Training(process, run_dir)
+    try:
+        yield Training(process, run_dir)
+    finally:
+        # Its services stop by themselves when their supervisor is gone.
+        process.kill()
+        process.communicate()

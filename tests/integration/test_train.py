@@ -5,11 +5,12 @@ from __future__ import annotations
 import itertools
 import os
 import signal
+import subprocess
 from collections import Counter
 from pathlib import Path
 
 import pytest
-from small_runs import ACTORS, BATCH, ENVS, STEPS, Training, start
+from small_runs import ACTORS, BATCH, ENVS, STEPS, Training, small_run
 
 from common.log.reader import LogReader
 from common.settings_sources import parse_json
@@ -18,13 +19,14 @@ from services.learner.checkpoints import list_checkpoints, read_checkpoint
 from services.learner.trainer import Trainer
 
 UPDATES = 12
+pytestmark = pytest.mark.timeout(400)  # three processes load and compile for each run
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Training:
     """A run that was left alone to its end."""
-    training = start(tmp_path_factory.mktemp("run") / "a", updates=UPDATES)
-    code, output = training.finish()
+    with small_run(tmp_path_factory.mktemp("run") / "a", updates=UPDATES) as training:
+        code, output = training.finish()
     assert code == 0, output
     return training
 
@@ -124,23 +126,20 @@ def test_checkpoints_are_states_of_the_run(finished: Training) -> None:
 
 
 def test_same_seed_same_bits(finished: Training, tmp_path: Path) -> None:
-    """Sync mode: the same seed and number of actors end in the same state, and another seed does not."""
-    again, other = start(tmp_path / "again", updates=UPDATES), start(tmp_path / "other", "--seed", "1", updates=2)
-    for training in (again, other):
-        code, output = training.finish()
-        assert code == 0, output
+    """Sync mode: the same seed and number of actors end in the same state."""
+    with small_run(tmp_path / "again", updates=UPDATES) as again:
+        code, output = again.finish()
+    assert code == 0, output
     assert again.summary["state_digest"] == finished.summary["state_digest"]
     assert again.summary["eval_return_mean"] == finished.summary["eval_return_mean"]
-    assert other.updates()[1]["state_digest"] != finished.updates()[1]["state_digest"]
 
 
 def test_killed_actor_does_not_stop_a_run(tmp_path: Path) -> None:
     """With an actor killed midway the run completes, and every update still used whole rollouts of its version."""
-    training = start(tmp_path / "run", updates=400)
-    training.wait_for(lambda: len(training.updates()) >= 5)
-    victim = training.children()["actor"][0]
-    os.kill(victim, signal.SIGKILL)
-    code, output = training.finish()
+    with small_run(tmp_path / "run", updates=400) as training:
+        training.wait_for(lambda: len(training.updates()) >= 5)
+        os.kill(training.children()["actor"][0], signal.SIGKILL)
+        code, output = training.finish()
     assert code == 0, output
     assert "starting it again" in output
     assert training.summary["updates"] == 400
@@ -154,12 +153,12 @@ def test_killed_actor_does_not_stop_a_run(tmp_path: Path) -> None:
 
 def test_ctrl_c_ends_cleanly(tmp_path: Path) -> None:
     """Ctrl-C: exit code 130, a finished log with all that was used, a summary that says so, no process left."""
-    training = start(tmp_path / "run", updates=100_000)
-    training.wait_for(lambda: len(training.updates()) >= 3)
-    processes = [pid for pids in training.children().values() for pid in pids]
-    assert len(processes) == 1 + ACTORS
-    training.process.send_signal(signal.SIGINT)
-    code, output = training.finish()
+    with small_run(tmp_path / "run", updates=100_000) as training:
+        training.wait_for(lambda: len(training.updates()) >= 3)
+        processes = [pid for pids in training.children().values() for pid in pids]
+        assert len(processes) == 1 + ACTORS
+        training.process.send_signal(signal.SIGINT)
+        code, output = training.finish()
     assert code == 130, output
     summary = training.summary
     assert summary["complete"] is False
@@ -172,14 +171,36 @@ def test_ctrl_c_ends_cleanly(tmp_path: Path) -> None:
 
 def test_dead_learner_ends_the_run(tmp_path: Path) -> None:
     """A learner that is killed takes the run with it: an exit code that says so, and no actor left behind."""
-    training = start(tmp_path / "run", updates=100_000)
-    training.wait_for(lambda: len(training.updates()) >= 3)
-    children = training.children()
-    os.kill(children["learner"][0], signal.SIGKILL)
-    code, output = training.finish()
+    with small_run(tmp_path / "run", updates=100_000) as training:
+        training.wait_for(lambda: len(training.updates()) >= 3)
+        children = training.children()
+        os.kill(children["learner"][0], signal.SIGKILL)
+        code, output = training.finish()
     assert code == 128 + signal.SIGKILL, output
     assert not (training.run_dir / "summary.json").exists()
     assert not [pid for pid in children["actor"] if Path(f"/proc/{pid}").exists()]
     # What was written is whole: the states follow from it.
     logged = [update["state_digest"] for update in training.updates()]
     assert replayed_digests(training.run_dir)[: len(logged)] == logged
+
+
+def test_full_disk_stops_the_run(tmp_path: Path) -> None:
+    """A disk that fills up stops the run with a sentence, before anything unlogged is used; the log reads well."""
+    if os.geteuid() != 0:
+        pytest.skip("mounting a small disk takes root; tests/common/log covers the writer without it")
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)], capture_output=True)
+    if mounted.returncode:
+        pytest.skip(f"cannot mount a small disk here: {mounted.stderr.decode().strip()}")
+    try:
+        with small_run(disk / "run", "--actors", "1", updates=100_000) as training:
+            code, output = training.finish()
+        assert code == 5, output
+        assert "No space left on device" in output
+        logged = [update["state_digest"] for update in training.updates()]
+        assert logged
+        assert replayed_digests(disk / "run")[: len(logged)] == logged
+        assert not (disk / "run" / "summary.json").exists()
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
