@@ -163,7 +163,7 @@ class RunSettings(Section):
     """algorithm"""
     physics: str = "auto"
     """engine of the actors: mjx, native, or auto (mjx on an accelerator, native on a CPU)"""
-    total_steps: Count = 3_000_000
+    total_steps: Count = 2_200_000
     """environment steps; rounded down to whole updates"""
     actors: Count = 2
     """rollouts an update is made of, and the actor processes that `train` starts"""

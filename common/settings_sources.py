@@ -85,11 +85,11 @@ def load(
 
 
 def parse_json(text: str) -> RunSettings:
-    """Settings as the learner sends them to an actor (`RunSettings.model_dump_json`)."""
+    """Settings as the learner sends them to an actor (`RunSettings.model_dump_json`); SettingsError for others."""
     try:
         return RunSettings.model_validate_json(text)
     except ValidationError as error:
-        raise SettingsError(_explain(error, [("the learner", {})])) from None
+        raise SettingsError(f"settings that a learner wrote cannot be used here: {_explain(error, [])}") from None
 
 
 def _from_command_line(options: CliSettingsSource[Any] | None, arguments: argparse.Namespace | None) -> dict[str, Any]:
@@ -135,7 +135,9 @@ def _from_file(config: str) -> dict[str, Any]:
     else:
         path = Path(config)
         try:
-            text = path.read_text()
+            text = path.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            raise SettingsError(f"--config {config}: not a text file; give a YAML file of settings") from None
         except OSError as error:
             raise SettingsError(
                 f"--config {config}: cannot be read ({error.strerror}); give a YAML file or one of the presets: "

@@ -134,16 +134,6 @@ _EVAL = _object(
     length_mean=_number("mean length in steps"),
 )
 
-_HEARTBEAT = _object(
-    "The state of an actor, as it last told it.",
-    slot=_integer("slot of the actor"),
-    incarnation=_string("life of the actor in that slot"),
-    state=_string("what it does, such as compiling or running"),
-    policy_version=_integer("version it acts with"),
-    env_steps=_integer("environment steps since it started"),
-    env_steps_per_s=_number("environment steps a second of late"),
-)
-
 CHANNELS: dict[str, ChannelSpec] = {
     channel.topic: channel
     for channel in (
@@ -154,7 +144,6 @@ CHANNELS: dict[str, ChannelSpec] = {
         ChannelSpec("/episode", "json", _EPISODE),
         ChannelSpec("/event", "json", _EVENT),
         ChannelSpec("/eval", "json", _EVAL),
-        ChannelSpec("/heartbeat", "json", _HEARTBEAT),
     )
 }
 """Every channel by topic, in the order in which a segment declares them."""

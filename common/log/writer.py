@@ -81,8 +81,8 @@ class LogWriter:
         # Under the condition, from here
         self._queue: deque[_Entry] = deque()
         self._pending_bytes = 0
-        self._accepted = 0
-        self._acknowledged = 0
+        self._accepted = self._acknowledged = 0
+        self._busy_s = 0.0
         self._stopping = False
         self._failure: LogWriteError | None = None
         # to here; what follows belongs to the thread.
@@ -99,6 +99,12 @@ class LogWriter:
         """Bytes of the messages that are not in the file yet."""
         with self._changed:
             return self._pending_bytes
+
+    @property
+    def busy_s(self) -> float:
+        """Seconds the writer's thread has spent so far on commits, their acknowledgements and syncs."""
+        with self._changed:
+            return self._busy_s
 
     def write(
         self,
@@ -233,6 +239,7 @@ class LogWriter:
             return group
 
     def _commit(self, group: list[_Entry]) -> None:
+        began_s = time.monotonic()
         # A segment that begins with much is still to hold a message, or there would be no end of segments.
         if self._segment.messages and self._segment.size >= self._segment_bytes:
             self._roll()
@@ -248,6 +255,7 @@ class LogWriter:
                 entry.on_durable()
         with self._changed:
             self._acknowledged += len(group)
+            self._busy_s += time.monotonic() - began_s
             self._changed.notify_all()
 
     def _roll(self) -> None:
@@ -257,9 +265,12 @@ class LogWriter:
         self._segment = self._open_segment(self._number, {})
 
     def _sync_if_due(self) -> None:
-        if self._sync_due_s is not None and time.monotonic() >= self._sync_due_s:
+        began_s = time.monotonic()
+        if self._sync_due_s is not None and began_s >= self._sync_due_s:
             self._segment.sync()
             self._synced()
+            with self._changed:
+                self._busy_s += time.monotonic() - began_s
 
     def _synced(self) -> None:
         self._sync_due_s = None

@@ -149,7 +149,7 @@ class Update:
             chosen = jax.tree.map(lambda x: x[rows], flat)
             gradient, metrics = jax.grad(self._loss, has_aux=True)(parameters, state.expansion, chosen)
             updates, optimiser = self.optimiser.update(gradient, optimiser, parameters)
-            metrics["gradient_norm"] = optax.global_norm(gradient)
+            metrics["gradient_norm"] = optax.tree.norm(gradient)
             return (optax.apply_updates(parameters, updates), optimiser), metrics
 
         # One sort of random words; jax.random.permutation sorts twice, which shows in the time of an update.

@@ -14,8 +14,9 @@ from __future__ import annotations
 from typing import Final
 
 import jax
+from jax._src.xla_bridge import backends_are_initialized
 
-from common.errors import SettingsError
+from common.errors import PhysicsError, SettingsError
 from common.tasks import unknown_name
 
 AUTO: Final = "auto"
@@ -23,9 +24,13 @@ MJX: Final = "mjx"
 NATIVE: Final = "native"
 PHYSICS: Final = (AUTO, MJX, NATIVE)
 
+_ASYNCHRONOUS = "jax_cpu_enable_async_dispatch"
+
 
 def resolve_physics(physics: str) -> str:
     """The engine that `physics` stands for on this machine: "mjx" or "native".
+
+    To answer for "auto" JAX has to start, if it has not yet; it is prepared for the native engine first.
 
     Raises:
         SettingsError: `physics` is none of `PHYSICS`.
@@ -34,4 +39,27 @@ def resolve_physics(physics: str) -> str:
         raise SettingsError(unknown_name("physics engine", physics, PHYSICS))
     if physics != AUTO:
         return physics
+    if not backends_are_initialized():
+        jax.config.update(_ASYNCHRONOUS, False)
     return NATIVE if jax.default_backend() == "cpu" else MJX
+
+
+def prepare_jax() -> None:
+    """Have JAX run its CPU programs in the thread that calls them, as the native engine needs.
+
+    By default JAX hands them to a pool with a thread for every core. A program that waits there for the native
+    engine keeps its thread, while the engine's arguments, once they are large, are copied by the same pool: with one
+    core, or with as many programs as cores, each waits for the other for ever.
+
+    Raises:
+        PhysicsError: JAX has been used already, so that the choice is made.
+    """
+    if not jax.config.read(_ASYNCHRONOUS):
+        return
+    if backends_are_initialized():
+        raise PhysicsError(
+            "physics 'native' was asked for after JAX had started with asynchronous dispatch on the CPU, with which "
+            "a program can wait for ever; call common.physics.engines.prepare_jax() before JAX is first used, or set "
+            "JAX_CPU_ENABLE_ASYNC_DISPATCH=0 in the environment of the process"
+        )
+    jax.config.update(_ASYNCHRONOUS, False)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from common.errors import SettingsError
 from common.physics.bodies import Bodies, Engine
-from common.physics.engines import MJX, resolve_physics
+from common.physics.engines import MJX, NATIVE, prepare_jax, resolve_physics
 from common.physics.libraries import envs
 from common.physics.mjx import MjxEngine
 from common.physics.models import c_model, load_task
@@ -171,11 +171,13 @@ def make_environment(
 
     Raises:
         SettingsError: a name that is not known, or a number that is not possible.
-        PhysicsError: the engine is not installed.
+        PhysicsError: the engine is not installed, or JAX was started so that it could hang (`prepare_jax`).
     """
     engine_name = resolve_physics(physics)
     _check_at_least({"num_envs": num_envs, "episode_length": episode_length}, 1)
     _check_at_least({"threads": threads}, 0)
+    if engine_name == NATIVE:
+        prepare_jax()
     environment = load_task(task)
     substeps = environment._n_frames
     engine: Engine

@@ -97,7 +97,7 @@ class NativeEngine:
             self._batch.state[:] = self._defaults
             self._batch.warning[:] = 0
             for field, given in zip(self._inputs, inputs, strict=True):
-                field[:] = given
+                field[:] = np.asarray(given)
             lost = self._timed(run)
             results = self._results()
         for result in results:

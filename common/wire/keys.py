@@ -6,9 +6,9 @@ reskpn/v1/<run>/rollout/<slot>          query push of rollouts
                /policy/notify           what the learner wants now, and the newest version
                /policy/latest           the newest snapshot, asked for
                /heartbeat/<slot>
-               /status
+               /status                  the run at this moment, for dashboards
                /alive/<role>/<id>       liveliness tokens
-               /metrics /episode /event for dashboards
+               /metrics                 the record of every update, for dashboards
 """
 
 from __future__ import annotations
@@ -90,14 +90,6 @@ class Keys:
     @property
     def metrics(self) -> str:
         return f"{self._base}/metrics"
-
-    @property
-    def episode(self) -> str:
-        return f"{self._base}/episode"
-
-    @property
-    def event(self) -> str:
-        return f"{self._base}/event"
 
 
 def parse_alive(key: str) -> tuple[str, str]:

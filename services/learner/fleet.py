@@ -215,7 +215,7 @@ class Fleet:
             if slot.number in done:
                 continue
             if slot.member is None:
-                parts.append(f"slot {slot.number} has {'lost its' if slot.given else 'no'} actor")
+                parts.append(f"slot {slot.number} has {'lost its actor' if slot.given else 'no actor yet'}")
             else:
                 parts.append(f"slot {slot.number} {slot.member.state} {slot.member.state_s:.0f} s")
         return f"waiting for {len(self._slots) - len(self._taken)} of {len(self._slots)} rollouts: {', '.join(parts)}"

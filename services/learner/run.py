@@ -8,7 +8,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import asdict, dataclass
 
 from common.log.records import encode_json
 from common.log.writer import LogWriter
@@ -29,7 +30,7 @@ FAREWELL_S = 3.0
 
 @dataclass(frozen=True)
 class Step:
-    """One update and what went into it. `seconds` is by phase."""
+    """One update and what went into it. `seconds` is by phase; `log` ran beside the others."""
 
     version: int
     digest: str
@@ -68,6 +69,7 @@ class Run:
         self.trained_s = 0.0
         self._began_s: float | None = None
         self._centres = 0
+        self._log_busy_s = 0.0
 
     @property
     def env_steps(self) -> int:
@@ -82,6 +84,7 @@ class Run:
         """All updates; whether they were all made (else the run was asked to stop)."""
         self._publish()
         self._hub.open()
+        self._compile()
         for step in self._steps():
             self._record(step)
         return self._trainer.version == self._settings.updates
@@ -136,8 +139,24 @@ class Run:
                 "learner": updated_s - got_s,
                 "publish": published_s - updated_s,
                 "record": time.monotonic() - published_s,
+                "log": self._log_seconds(),
             }
             yield Step(version, self.digest, rollouts, metrics, seconds | _prefixed(actor_seconds(rollouts)))
+
+    def _log_seconds(self) -> float:
+        """Seconds the log's thread was at work since the last call, beside the loop."""
+        before, self._log_busy_s = self._log_busy_s, self._log.busy_s
+        return self._log_busy_s - before
+
+    def _compile(self) -> None:
+        """Compile the update while the actors join and compile theirs."""
+        began_s = time.monotonic()
+        with ThreadPoolExecutor(1, "compile") as pool:
+            compiled = pool.submit(self._trainer.compile)
+            while not compiled.done():
+                self._tick("compiling", f"the update {time.monotonic() - began_s:.0f} s; {self._hub.waiting_for()}")
+                wait([compiled], TICK_S)
+            compiled.result()
 
     def _collect(self) -> list[Rollout] | None:
         """The rollouts of this version; None when the run is asked to stop."""
@@ -215,6 +234,7 @@ class Run:
             slots=self._settings.actors,
         )
         self._display.show(status)
+        self._hub.publish_status(encode_json(asdict(status)))
 
 
 def _prefixed(seconds: dict[str, float]) -> dict[str, float]:

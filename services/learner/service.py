@@ -72,8 +72,6 @@ def run_learner(settings: RunSettings, *, stop: threading.Event) -> int:
             write_checkpoint(run_dir, Snapshot(run, trainer.version, digest_arrays(arrays), arrays))
 
         trainer = Trainer(settings)
-        display.note("compiling the update ...")
-        trainer.compile()
         loop = Run(run, settings, trainer, hub, log, display, scalars, stop, keep)
         complete, evaluation = False, None
         try:

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -38,7 +39,6 @@ def one_of_each() -> dict[str, bytes | dict[str, Any]]:
         "/episode": {"version": 1, "count": 2, "return_mean": 1.5},
         "/event": {"level": "info", "name": "joined", "text": "actor 0 joined", "slot": 0},
         "/eval": {"version": 1, "episodes": 4, "return_mean": 10.0},
-        "/heartbeat": {"slot": 0, "state": "running"},
     }
 
 
@@ -146,6 +146,29 @@ def test_flush_gives_up_at_its_deadline(tmp_path: Path) -> None:
         with pytest.raises(LogWriteError, match=r"not written within 0\.01 s: 1234 bytes"):
             log.flush(0.01)
         gate.open.set()
+
+
+def test_busy_seconds_are_those_of_the_thread_at_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a run's time is broken down by: commits, acknowledgements and syncs count, waiting for work does not."""
+    clock_s = [0.0]
+
+    def takes(seconds: float) -> Callable[[], None]:
+        return lambda: clock_s.__setitem__(0, clock_s[0] + seconds)
+
+    monkeypatch.setattr("common.log.writer.time", SimpleNamespace(monotonic=lambda: clock_s[0]))
+    monkeypatch.setattr(os, "fdatasync", lambda fd: takes(2.0)())
+    with LogWriter(tmp_path, sync_period_s=200.0) as log:
+        assert log.busy_s == 0.0
+        log.write("/rollout", b"a", on_durable=takes(5.0))
+        log.flush(DEADLINE_S)
+        assert log.busy_s == 5.0
+        takes(100.0)()  # idle; no sync is due before 200
+        log.write("/rollout", b"b", on_durable=takes(3.0))
+        log.flush(DEADLINE_S)
+        assert log.busy_s == 8.0  # 5 + 3
+        log.write("/rollout", b"c", on_durable=takes(100.0))  # the clock passes 200: the thread syncs, for 2
+        log.flush(DEADLINE_S)
+    assert log.busy_s == 110.0  # 8 + 100 + 2; finishing the file at the close is the end of the run, not its work
 
 
 def count_syncs(monkeypatch: pytest.MonkeyPatch) -> tuple[list[int], threading.Event]:

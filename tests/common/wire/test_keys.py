@@ -31,8 +31,6 @@ def test_keys_as_documented():
     assert keys.policy_latest == "reskpn/v1/hopper-1/policy/latest"
     assert keys.status == "reskpn/v1/hopper-1/status"
     assert keys.metrics == "reskpn/v1/hopper-1/metrics"
-    assert keys.episode == "reskpn/v1/hopper-1/episode"
-    assert keys.event == "reskpn/v1/hopper-1/event"
 
 
 @given(run_ids, run_ids, run_ids)
