@@ -10,7 +10,7 @@ SEED ?= 0
 PHYSICS ?= auto
 ARGS ?=
 
-.PHONY: help setup train test test-slow lint bench lock clean
+.PHONY: help setup train test lint bench lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -31,8 +31,8 @@ test: setup  ## all tests that fit in a few minutes
 lint: setup  ## style, types and import rules
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
 
-bench: setup  ## steps/s in one process and through the service, and where the time goes
-	@$(BIN)/python -m benchmarks.service
+bench: setup  ## steps/s in one process and through the service, and where the time goes; ARGS="--task humanoid"
+	@$(BIN)/python -m benchmarks.service $(ARGS)
 
 lock:  ## pin the requirements anew
 	@$(BIN)/uv pip compile -q --python-version 3.11 --universal --generate-hashes --no-emit-index-url --no-header \

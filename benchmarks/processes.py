@@ -16,6 +16,11 @@ from common.settings_sources import OTHER_VARIABLES, PREFIX
 _ROOT = Path(__file__).parent.parent
 
 
+def bare_environment() -> dict[str, str]:
+    """This process's environment without settings of a run."""
+    return {name: value for name, value in os.environ.items() if not name.startswith(PREFIX) or name in OTHER_VARIABLES}
+
+
 def run_module(module: str, arguments: Sequence[str]) -> str:
     """What `python -m module arguments...` prints. The environment's settings do not reach it.
 
@@ -23,10 +28,7 @@ def run_module(module: str, arguments: Sequence[str]) -> str:
         ProcessError: it fails; its last words are in the message.
     """
     command = [sys.executable, "-m", module, *arguments]
-    environment = {
-        name: value for name, value in os.environ.items() if not name.startswith(PREFIX) or name in OTHER_VARIABLES
-    }
-    done = subprocess.run(command, cwd=_ROOT, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=_ROOT, env=bare_environment(), capture_output=True, text=True, check=False)
     if done.returncode != 0:
         last = (done.stdout + done.stderr).strip().splitlines()[-8:]
         raise ProcessError(

@@ -155,7 +155,7 @@ class Orders(Message):
     """What the learner wants now; said again and again, the last one counts.
 
     `version`, `digest` and `size` (bytes) are the newest snapshot's; `collect` is rollouts wanted at this version by
-    slot, `evaluate` episodes by slot.
+    slot, 0 or more for every slot that is held while the run goes on; `evaluate` is episodes by slot.
     """
 
     run: RunId

@@ -126,9 +126,11 @@ class Life:
         return False
 
     def _follow(self, orders: Orders, reader: PolicyReader, collector: Collector) -> None:
-        """Do what is asked of this slot and is not yet done."""
+        """Do what is asked of this slot and is not yet done. Lost where the slot is nobody's any more."""
         slot = self._member.slot
-        wanted = orders.collect.get(slot, 0) - (self._made if self._version == orders.version else 0)
+        if slot not in orders.collect:
+            raise Lost("the learner has given this actor up")
+        wanted = orders.collect[slot] - (self._made if self._version == orders.version else 0)
         if wanted <= 0 and slot not in orders.evaluate:
             return
         if self._version != orders.version:

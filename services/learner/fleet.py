@@ -198,11 +198,11 @@ class Fleet:
         self._finished = True
 
     def orders(self, *, digest: str, size: int, t_ns: int) -> Orders:
-        """What is wanted now. `collect` counts from the version's start."""
+        """What is wanted now. `collect` counts from the version's start and names every slot that is held."""
         collect = {
-            slot.number: 1 + self._extra[slot.number]
+            slot.number: 1 + self._extra[slot.number] if self._collecting else 0
             for slot in self._slots
-            if slot.member is not None and self._collecting and not self._finished
+            if slot.member is not None and not self._finished
         }
         evaluator = {} if self._evaluator is None or self._finished else {self._evaluator: self._episodes}
         return Orders(self._run, self._version, digest, size, collect, evaluator, self._finished, t_ns)

@@ -49,8 +49,9 @@ def rollout(slot: int = 0, incarnation: str = "a", seq: int = 0, policy_version:
 
 
 def heartbeat(slot: int = 0, incarnation: str = "a", state: str = "waiting", **changes: Any) -> Heartbeat:
-    values: dict[str, Any] = {"version": 0, "env_steps": 0, "steps_per_s": 0.0, "state_s": 0.0, "t_ns": 1}
-    return Heartbeat(**{"run": RUN, "slot": slot, "incarnation": incarnation, "state": state} | values | changes)
+    values: dict[str, Any] = {"run": RUN, "slot": slot, "incarnation": incarnation, "state": state}
+    numbers = {"version": 0, "env_steps": 0, "steps_per_s": 0.0, "state_s": 0.0, "t_ns": 1}
+    return Heartbeat(**values | numbers | changes)
 
 
 def evaluation(slot: int = 0, incarnation: str = "a", version: int = 0) -> Evaluation:

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import settings as hypothesis_settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from samples import RUN, heartbeat, rollout
 
 from common.errors import RefusedError
 from common.wire.messages import Orders, Rollout
 from services.learner.fleet import ACCEPTED, Fleet
-
-STATES = ("compiling", "waiting", "collecting", "pushing", "evaluating")
 
 
 def make_fleet(slots: int, *incarnations: str) -> Fleet:
@@ -342,17 +337,27 @@ def test_with_nobody_left_the_first_to_return_does_all_the_work() -> None:
     assert orders(fleet).collect == {0: 3}
 
 
+def test_the_last_version_needs_no_rollouts() -> None:
+    """Nobody is asked for one, and what is sent all the same is surplus."""
+    fleet = make_fleet(2, "a", "b")
+    fleet.begin(9, collect=False)
+    assert orders(fleet).collect == {0: 0, 1: 0}
+    answer = fleet.admit(rollout(policy_version=9))
+    assert answer is not None
+    assert answer.reason.startswith("surplus: ")
+
+
 def test_orders_while_evaluating() -> None:
     """One ready actor, that of the lowest slot, is asked for the episodes; nobody for rollouts."""
     fleet = Fleet(RUN, 3)
-    fleet.begin(9)
+    fleet.begin(9, collect=False)
     for name in "abc":
         fleet.join(name, "native", 0.0)
     fleet.heard(heartbeat(1, "b"), 0.0)
     fleet.heard(heartbeat(2, "c"), 0.0)
     fleet.evaluate(64)
     said = orders(fleet)
-    assert (said.version, said.collect, said.evaluate, said.finished) == (9, {}, {1: 64}, False)
+    assert (said.version, said.collect, said.evaluate, said.finished) == (9, {0: 0, 1: 0, 2: 0}, {1: 64}, False)
 
 
 def test_a_lost_evaluator_is_replaced() -> None:
@@ -368,6 +373,15 @@ def test_a_lost_evaluator_is_replaced() -> None:
     assert orders(fleet).evaluate == {}
     fleet.heard(heartbeat(0, "c", "waiting"), 0.0)
     assert orders(fleet).evaluate == {0: 8}
+
+
+def test_orders_name_every_slot_that_is_held() -> None:
+    """Also when it has nothing to do: an actor whose slot is not named has been given up."""
+    fleet = make_fleet(3, "a", "b")
+    fleet.begin(9, collect=False)
+    assert set(orders(fleet).collect) == {0, 1}
+    fleet.lose("a")
+    assert set(orders(fleet).collect) == {1}
 
 
 def test_orders_when_the_run_is_over() -> None:
@@ -387,180 +401,5 @@ def test_what_the_run_waits_for() -> None:
     fleet.heard(heartbeat(1, "b", "collecting", state_s=12.4), 0.0)
     fleet.lose("c")
     assert fleet.waiting_for() == (
-        "waiting for 3 of 4 rollouts: slot 1 collecting 12 s, slot 2 has lost its actor, slot 3 has no actor"
+        "waiting for 3 of 4 rollouts: slot 1 collecting 12 s, slot 2 has lost its actor, slot 3 has no actor yet"
     )
-
-
-# -- whatever happens --------------------------------------------------------------------------------------
-
-
-class AnyOrderOfThings(RuleBasedStateMachine):
-    """Actors come and go, heartbeats and rollouts come in any order, twice or never, and versions begin at any time.
-
-    Promised whatever the sequence: a batch that is given out has exactly one rollout for each slot, all of the
-    current version, none of which was ever used before; and a version's batch is completed once every actor that is
-    left does what it is asked.
-    """
-
-    @initialize(slots=st.integers(1, 4))
-    def start(self, slots: int) -> None:
-        self.slots = slots
-        self.fleet = Fleet(RUN, slots)
-        self.fleet.begin(0)
-        self.version = 0
-        self.given = [0] * slots
-        self.present: dict[str, int] = {}
-        self.gone: list[tuple[str, int]] = []
-        self.admitted: dict[str, int] = {}
-        self.made: dict[str, int] = {}
-        self.under_way: list[Rollout] = []
-        self.used: set[tuple[int, str, int]] = set()
-
-    @rule()
-    def join(self) -> None:
-        name = f"i{sum(self.given)}"
-        free = [slot for slot in range(self.slots) if slot not in self.present.values()]
-        if not free:
-            with pytest.raises(RefusedError, match="slots are taken"):
-                self.fleet.join(name, "native", 0.0)
-            return
-        slot = self.fleet.join(name, "native", 0.0)
-        assert slot.number == free[0]
-        assert slot.member is not None
-        assert slot.member.generation == self.given[slot.number]
-        self.given[slot.number] += 1
-        self.present[name] = slot.number
-        self.admitted[name] = self.made[name] = 0
-
-    @precondition(lambda self: self.present)
-    @rule(data=st.data())
-    def join_again(self, data: st.DataObject) -> None:
-        name = data.draw(st.sampled_from(sorted(self.present)))
-        assert self.fleet.join(name, "native", 0.0).number == self.present[name]
-
-    @precondition(lambda self: self.gone)
-    @rule(data=st.data())
-    def come_back_under_an_old_name(self, data: st.DataObject) -> None:
-        name, _ = data.draw(st.sampled_from(self.gone))
-        with pytest.raises(RefusedError, match="has lost its slot"):
-            self.fleet.join(name, "native", 0.0)
-
-    @precondition(lambda self: self.present)
-    @rule(data=st.data())
-    def lose(self, data: st.DataObject) -> None:
-        name = data.draw(st.sampled_from(sorted(self.present)))
-        slot = self.fleet.lose(name)
-        assert slot is not None
-        assert slot.number == self.present[name]
-        self.gone.append((name, self.present.pop(name)))
-
-    @precondition(lambda self: self.present or self.gone)
-    @rule(data=st.data(), state=st.sampled_from(STATES))
-    def heartbeat(self, data: st.DataObject, state: str) -> None:
-        name, slot = data.draw(st.sampled_from([*sorted(self.present.items()), *self.gone]))
-        changed = self.fleet.heard(heartbeat(slot, name, state), 0.0)
-        assert name in self.present or not changed
-
-    @precondition(lambda self: self.present or self.gone)
-    @rule(
-        data=st.data(),
-        seq_off=st.sampled_from([0, 0, 0, -1, 1]),
-        version_off=st.sampled_from([0, 0, 0, -1, 1]),
-        logged=st.booleans(),
-    )
-    def push(self, data: st.DataObject, seq_off: int, version_off: int, logged: bool) -> None:
-        name, slot = data.draw(st.sampled_from([*sorted(self.present.items()), *self.gone]))
-        seq, version = max(0, self.admitted[name] + seq_off), max(0, self.version + version_off)
-        made = rollout(slot, name, seq, version)
-        known = seq < self.admitted[name]
-        waiting = [other.key for other in self.under_way]
-        answer = self.fleet.admit(made)
-        if answer is None:
-            assert name in self.present
-            assert (seq, version) == (self.admitted[name], self.version)
-            self.note_admitted(name, made)
-            if logged:
-                self.log(made)
-        elif answer.status == "accepted":
-            assert known
-            assert made.key not in waiting
-        elif answer.status == "busy":
-            assert made.key in waiting
-        else:
-            assert name in self.gone_names or not known
-
-    @precondition(lambda self: self.under_way)
-    @rule(data=st.data())
-    def reach_the_log(self, data: st.DataObject) -> None:
-        self.log(self.under_way[data.draw(st.integers(0, len(self.under_way) - 1))])
-
-    @rule()
-    def update_or_wait(self) -> None:
-        if self.use_batch():
-            self.begin()
-
-    @rule()
-    def begin_early(self) -> None:
-        self.begin()
-
-    @precondition(lambda self: self.present and all(self.given))
-    @rule()
-    def everyone_left_does_what_is_asked(self) -> None:
-        for made in list(self.under_way):
-            self.log(made)
-        for name, slot in self.present.items():
-            self.fleet.heard(heartbeat(slot, name, "waiting"), 0.0)
-        collect = orders(self.fleet).collect
-        assert set(collect) == set(self.present.values())
-        for name, slot in self.present.items():
-            while self.made[name] < collect[slot]:
-                made = rollout(slot, name, self.admitted[name], self.version)
-                answer = self.fleet.admit(made)
-                if answer is not None:
-                    assert answer.reason.startswith("surplus")
-                    break
-                self.note_admitted(name, made)
-                self.log(made)
-        assert self.use_batch()
-        self.begin()
-
-    @invariant()
-    def orders_name_those_who_are_here(self) -> None:
-        said = orders(self.fleet)
-        assert said.version == self.version
-        assert set(said.collect) == set(self.present.values())
-        assert all(count >= 1 for count in said.collect.values())
-
-    @property
-    def gone_names(self) -> set[str]:
-        return {name for name, _ in self.gone}
-
-    def note_admitted(self, name: str, made: Rollout) -> None:
-        self.admitted[name] += 1
-        self.made[name] += 1
-        self.under_way.append(made)
-
-    def log(self, made: Rollout) -> None:
-        self.fleet.accept(made)
-        self.under_way = [other for other in self.under_way if other is not made]
-
-    def begin(self) -> None:
-        self.version += 1
-        self.fleet.begin(self.version)
-        self.made = dict.fromkeys(self.made, 0)
-
-    def use_batch(self) -> bool:
-        taken = self.fleet.take()
-        if taken is None:
-            return False
-        keys = {r.key for r in taken}
-        assert len(taken) == len(keys) == self.slots
-        assert {r.policy_version for r in taken} == {self.version}
-        assert [r.slot for r in taken] == sorted(r.slot for r in taken)
-        assert not keys & self.used
-        self.used |= keys
-        return True
-
-
-TestAnyOrderOfThings = AnyOrderOfThings.TestCase
-TestAnyOrderOfThings.settings = hypothesis_settings(max_examples=60, stateful_step_count=50, deadline=None)

@@ -1,138 +1,21 @@
-"""The hub: the learner's answers, over real sessions on loopback and with a real log."""
+"""The hub: joining, leaving, and what the learner tells, over real sessions on loopback."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
-from pathlib import Path
+from collections.abc import Callable
 from queue import Queue
 from typing import Any
 
-import numpy as np
 import pytest
-from samples import RUN, evaluation, heartbeat, question, rollout, settings, snapshot
+from hub_sides import DEADLINE_S, KEYS, Actor, Learner
+from samples import RUN, evaluation, heartbeat, question, rollout, snapshot
 
-from common.errors import LogWriteError, SessionError
-from common.log.reader import LogReader
-from common.log.writer import LogWriter
 from common.settings_sources import parse_json
 from common.wire import codec
-from common.wire.keys import JOIN, Keys
-from common.wire.messages import JoinReply, Orders, PushReply, Rollout, Snapshot
-from common.wire.session import Session
+from common.wire.keys import JOIN
+from common.wire.messages import JoinReply, Orders, PushReply, Snapshot
 from services.learner import hub as hub_module
-from services.learner.hub import Hub, make_snapshot
-
-DEADLINE_S = 15.0
-KEYS = Keys(RUN)
-
-
-class HeldLog:
-    """A log that writes rollouts when it is told to, as a slow disk would."""
-
-    def __init__(self, log: LogWriter) -> None:
-        self._log = log
-        self._held: Queue[tuple[bytes, Callable[[], None]]] = Queue()
-        self._free = True
-
-    def hold(self) -> None:
-        self._free = False
-
-    def let_one_go(self) -> None:
-        """Write the rollout that has waited longest, once there is one."""
-        data, on_durable = self._held.get(timeout=DEADLINE_S)
-        self._log.write("/rollout", data, on_durable=on_durable)
-
-    @property
-    def pending_bytes(self) -> int:
-        return self._log.pending_bytes
-
-    @property
-    def waiting(self) -> int:
-        return self._held.qsize()
-
-    def write(self, topic: str, data: Any, *, on_durable: Callable[[], None]) -> None:
-        if self._free:
-            self._log.write(topic, data, on_durable=on_durable)
-        else:
-            self._held.put((data, on_durable))
-
-
-class Learner:
-    """A hub at version 0 on a session of its own, and what it wrote and told."""
-
-    def __init__(self, session: Session, directory: Path, **changes: Any) -> None:
-        self.settings = settings(**changes)
-        self.directory = directory
-        self.writer = LogWriter(directory)
-        self.log = HeldLog(self.writer)
-        self.events: Queue[tuple[str, str, str]] = Queue()
-        self.session = session
-        log: Any = self.log
-        self.hub = Hub(RUN, self.settings, session, log, lambda *event: self.events.put(event))
-        self.hub.begin(snapshot(0))
-        self.hub.open()
-
-    def logged(self) -> list[bytes]:
-        """The rollouts that are in the log's files now."""
-        return [message.data for message in LogReader(self.directory).messages({"/rollout"})]
-
-
-class Actor:
-    """Asks as an actor does, in the words of the wire."""
-
-    def __init__(self, session: Session) -> None:
-        self.session = session
-
-    def ask(self, key: str, payload: bytes) -> bytes:
-        return self.session.ask(key, payload, DEADLINE_S)
-
-    def join(self, incarnation: str = "a", **changes: Any) -> JoinReply:
-        return JoinReply.decode(self.ask(JOIN, question(incarnation, **changes).encode()))
-
-    def push(self, made: Rollout) -> PushReply:
-        return self.push_bytes(made.encode(), made.slot)
-
-    def push_bytes(self, data: bytes, slot: int = 0) -> PushReply:
-        return PushReply.decode(self.ask(KEYS.rollout(slot), data))
-
-
-@pytest.fixture
-def learners(sessions: Callable[..., Session], tmp_path: Path) -> Iterator[Callable[..., Learner]]:
-    """Makes a learner: `learners(actors=1)`; its log is closed after its session."""
-    with ExitStack() as stack:
-
-        def make(**changes: Any) -> Learner:
-            session = sessions(listen=True)
-            learner = Learner(session, tmp_path / "log", **changes)
-            stack.callback(learner.writer.close)
-            stack.callback(session.close)
-            return learner
-
-        yield make
-
-
-@pytest.fixture
-def actors(sessions: Callable[..., Session], until: Callable[..., None]) -> Callable[[], Actor]:
-    """Makes an actor that knows all of what the learner serves."""
-
-    def make() -> Actor:
-        actor = Actor(sessions())
-
-        def reached() -> bool:
-            # The hub serves joins last, and declarations arrive in order.
-            try:
-                return not actor.join("?", run="somewhere-else").accepted
-            except SessionError:
-                return False
-
-        until(reached)
-        return actor
-
-    return make
-
+from services.learner.hub import make_snapshot
 
 # -- joining -----------------------------------------------------------------------------------------------
 
@@ -212,155 +95,6 @@ def test_engines_are_those_that_work(
     assert learner.hub.engines() == found
 
 
-# -- rollouts ----------------------------------------------------------------------------------------------
-
-
-def test_a_rollout_is_accepted_once_it_is_in_the_log(
-    learners: Callable[..., Learner], actors: Callable[[], Actor]
-) -> None:
-    """At the moment of the answer the log's files hold the bytes that were sent, and nothing else."""
-    learner, actor = learners(), actors()
-    actor.join("a")
-    made = rollout(0, "a")
-    assert actor.push(made) == PushReply("accepted", "")
-    assert learner.logged() == [made.encode()]
-
-
-def test_a_rollout_that_is_not_in_the_log_is_neither_accepted_nor_used(
-    learners: Callable[..., Learner], actors: Callable[[], Actor], until: Callable[..., None]
-) -> None:
-    """While the disk is slow the answer waits, a repeat is told to wait, and the batch is not complete."""
-    learner, actor = learners(actors=1, num_envs=2), actors()
-    actor.join("a")
-    learner.log.hold()
-    made = rollout(0, "a")
-    with ThreadPoolExecutor(1) as pool:
-        answer = pool.submit(actor.push, made)
-        until(lambda: learner.log.waiting == 1)
-        assert actor.push(made).status == "busy"
-        assert learner.hub.rollouts(0.0) is None
-        assert not answer.done()
-        learner.log.let_one_go()
-        assert answer.result(DEADLINE_S) == PushReply("accepted", "")
-    assert actor.push(made).status == "accepted"
-    taken = learner.hub.rollouts(0.0)
-    assert taken is not None
-    assert [r.key for r in taken] == [made.key]
-    assert learner.logged() == [made.encode()]
-
-
-def test_the_rollouts_of_a_version(learners: Callable[..., Learner], actors: Callable[[], Actor]) -> None:
-    """Given out in the order of the slots as they were sent; the next version starts with none."""
-    learner, actor = learners(), actors()
-    actor.join("a")
-    actor.join("b")
-    sent = {slot: rollout(slot, name) for slot, name in ((1, "b"), (0, "a"))}
-    for made in sent.values():
-        assert actor.push(made).status == "accepted"
-    taken = learner.hub.rollouts(DEADLINE_S)
-    assert taken is not None
-    assert [r.slot for r in taken] == [0, 1]
-    for r in taken:
-        np.testing.assert_array_equal(r.obs, sent[r.slot].obs)
-    learner.hub.begin(snapshot(1))
-    assert learner.hub.rollouts(0.0) is None
-    assert learner.logged() == [sent[1].encode(), sent[0].encode()]
-
-
-def test_waiting_for_rollouts_ends_when_the_last_is_there(
-    learners: Callable[..., Learner], actors: Callable[[], Actor]
-) -> None:
-    """The learner's loop wakes by itself."""
-    learner, actor = learners(actors=1, num_envs=2), actors()
-    actor.join("a")
-    with ThreadPoolExecutor(1) as pool:
-        taken = pool.submit(learner.hub.rollouts, DEADLINE_S)
-        assert actor.push(rollout(0, "a")).status == "accepted"
-        batch = taken.result(DEADLINE_S)
-    assert batch is not None
-
-
-def nan_reward() -> np.ndarray:
-    reward = np.zeros((3, 2), np.float32)
-    reward[1, 1] = np.nan
-    return reward
-
-
-MALFORMED: dict[str, tuple[Callable[[], bytes], str]] = {
-    "no message at all": (lambda: b"\xc1 hello", "not_msgpack: "),
-    "a message that is cut short": (lambda: rollout().encode()[:-1], "not_msgpack: "),
-    "another message": (lambda: heartbeat().encode(), "missing_field: "),
-    "another schema": (lambda: codec.encode(codec.decode(rollout().encode()) | {"schema": 0}), "schema: "),
-    "a field too many": (lambda: codec.encode(codec.decode(rollout().encode()) | {"x": 1}), "unknown_field: "),
-    "a dtype": (lambda: rollout(reward=np.zeros((3, 2), np.float64)).encode(), "bad_dtype: "),
-    "other environments": (lambda: rollout(reward=np.zeros((3, 5), np.float32)).encode(), "bad_shape: "),
-    "other steps": (lambda: rollout(obs=np.zeros((4, 2, 4), np.float32)).encode(), "bad_shape: "),
-    "another task": (lambda: rollout(action=np.zeros((3, 2, 6), np.float32)).encode(), "bad_shape: "),
-    "a number that is none": (lambda: rollout(reward=nan_reward()).encode(), "not_finite: reward"),
-    "another's slot": (lambda: rollout(slot=1).encode(), "bad_key: a rollout of slot 1 was pushed on"),
-    "a stranger": (lambda: rollout(incarnation="b").encode(), "incarnation: "),
-    "another run": (lambda: rollout(run="run-2").encode(), "run: "),
-    "an old policy": (lambda: rollout(policy_version=4).encode(), "stale: "),
-    "a gap": (lambda: rollout(seq=1).encode(), "gap: "),
-}
-
-
-def test_what_is_no_use_is_refused_and_stays_out_of_the_log(
-    learners: Callable[..., Learner], actors: Callable[[], Actor]
-) -> None:
-    """Each with its reason, which is counted; what is good is taken afterwards all the same."""
-    learner, actor = learners(), actors()
-    actor.join("a")
-    for what, (make, reason) in MALFORMED.items():
-        reply = actor.push_bytes(make())
-        assert reply.status == "refused", what
-        assert reply.reason.startswith(reason), what
-    assert learner.hub.rollouts(0.0) is None
-    good = rollout()
-    assert actor.push(good).status == "accepted"
-    assert learner.logged() == [good.encode()]
-    # In MALFORMED: 2 that are no msgpack, 3 of another shape, one of each of the others.
-    assert learner.hub.refusals() == {
-        "not_msgpack": 2,
-        "missing_field": 1,
-        "schema": 1,
-        "unknown_field": 1,
-        "bad_dtype": 1,
-        "bad_shape": 3,
-        "not_finite": 1,
-        "bad_key": 1,
-        "incarnation": 1,
-        "run": 1,
-        "stale": 1,
-        "gap": 1,
-    }
-
-
-def test_a_full_queue_makes_the_actor_wait(learners: Callable[..., Learner], actors: Callable[[], Actor]) -> None:
-    """A rollout that would fill more than `queue_bytes` is not taken now; it is no fault and is not counted as one."""
-    size = len(rollout().encode())
-    learner, actor = learners(transport={"queue_bytes": size - 1}), actors()
-    actor.join("a")
-    assert actor.push(rollout()) == PushReply("busy", "the learner's queue is full")
-    assert learner.logged() == []
-    assert learner.hub.refusals() == {}
-
-
-def test_when_the_log_has_failed_nothing_is_used(
-    learners: Callable[..., Learner], actors: Callable[[], Actor], caplog: pytest.LogCaptureFixture
-) -> None:
-    """Who pushes is not kept waiting, and the rollout is not given out."""
-    learner, actor = learners(actors=1, num_envs=2), actors()
-    actor.join("a")
-    learner.writer.close()
-    with pytest.raises(SessionError, match="no answer"):
-        actor.push(rollout())
-    assert learner.hub.rollouts(0.0) is None
-    with pytest.raises(LogWriteError):
-        learner.writer.write("/rollout", b"")
-    assert "a handler of" in caplog.text
-
-
 # -- who is there ------------------------------------------------------------------------------------------
 
 
@@ -372,7 +106,6 @@ def test_an_actor_whose_session_closes_is_lost(
     actor.join("a")
     other.join("b")
     actor.session.declare_alive(KEYS.alive("actor", "a"))
-    assert other.session is not actor.session
     actor.session.close()
     until(lambda: learner.hub.actors() == 1)
     reply = other.join("c")
@@ -444,11 +177,10 @@ def test_orders_tell_the_newest_snapshot_and_what_is_wanted(
         return is_said
 
     until(said(version=0, collect={0: 1, 1: 1}))
-    data = learner.hub.begin(snapshot(1))
-    until(said(version=1, digest=snapshot(1).digest, size=len(data)))
+    data = learner.hub.begin(snapshot(1), collect=False)
+    until(said(version=1, digest=snapshot(1).digest, size=len(data), collect={0: 0, 1: 0}))
     beats = actor.session.publisher(KEYS.heartbeat(1))
     learner.hub.ask_for_evaluation(8)
-    until(said(collect={}, evaluate={}))
     # Nobody is ready, until slot 1 says so; from then on orders are said without being repeated.
     beats.put(heartbeat(1, "b", "waiting").encode())
     until(lambda: heard[-1].evaluate == {1: 8})
@@ -517,30 +249,6 @@ def test_an_evaluation_is_taken_from_who_holds_the_slot(
     found = learner.hub.evaluation(0.0)
     assert found is not None
     assert (found.version, found.episode_return.tolist(), found.episode_length.tolist()) == (3, [10, 30], [5, 7])
-
-
-def test_handlers_do_not_wait_for_each_other(
-    learners: Callable[..., Learner], actors: Callable[[], Actor], until: Callable[..., None]
-) -> None:
-    """While rollouts wait for a slow disk, joins and snapshots are answered."""
-    learner, actor = learners(), actors()
-    actor.join("a")
-    learner.log.hold()
-    answered = threading.Event()
-
-    def push() -> None:
-        actor.push(rollout(0, "a"))
-        answered.set()
-
-    pusher = threading.Thread(target=push)
-    pusher.start()
-    until(lambda: learner.log.waiting == 1)
-    assert actor.join("b").accepted
-    assert actor.ask(KEYS.policy_latest, b"") == snapshot(0).encode()
-    assert not answered.is_set()
-    learner.log.let_one_go()
-    pusher.join(DEADLINE_S)
-    assert answered.is_set()
 
 
 def test_a_snapshot_carries_the_digest_of_its_arrays() -> None:

@@ -1,9 +1,8 @@
-"""What the learner's process does around a run: its directory, its doors, its summary."""
+"""What the learner's process does around a run: its doors, its summary, its events."""
 
 from __future__ import annotations
 
 import json
-import os
 import socket
 import threading
 from pathlib import Path
@@ -19,72 +18,8 @@ from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from common.wire.messages import Evaluation
 from services.learner import service
-from services.learner.service import (
-    Events,
-    default_run_dir,
-    describe,
-    prepare_run_dir,
-    refuse_open_doors,
-    summarise,
-    write_json,
-)
+from services.learner.service import Events, describe, refuse_open_doors, summarise
 from services.learner.statistics import TrainingReturn
-
-# -- the run's directory -----------------------------------------------------------------------------------
-
-
-def test_a_run_directory_is_made_and_holds_the_settings(tmp_path: Path) -> None:
-    """With its parents; `settings.json` is the settings, whole."""
-    given = settings(run_dir=tmp_path / "a" / "b", seed=5)
-    assert prepare_run_dir(given) == tmp_path / "a" / "b"
-    assert json.loads((tmp_path / "a" / "b" / "settings.json").read_text()) == given.model_dump(mode="json")
-
-
-def test_an_empty_directory_will_do(tmp_path: Path) -> None:
-    """One that is there, also with other things in it, is taken."""
-    (tmp_path / "notes.txt").write_text("mine")
-    assert prepare_run_dir(settings(run_dir=tmp_path)) == tmp_path
-    assert (tmp_path / "notes.txt").read_text() == "mine"
-
-
-@pytest.mark.parametrize("name", ["summary.json", "settings.json", "log"])
-def test_a_directory_that_holds_a_run_is_refused(tmp_path: Path, name: str) -> None:
-    """Nothing of an older run is overwritten; the message says by what it was known."""
-    (tmp_path / name).write_text("older")
-    with pytest.raises(SettingsError, match=rf"already holds a run \({name}\); choose another directory"):
-        prepare_run_dir(settings(run_dir=tmp_path))
-    assert (tmp_path / name).read_text() == "older"
-
-
-def test_a_directory_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
-    """A sentence with the reason, and what to do."""
-    (tmp_path / "file").write_text("")
-    with pytest.raises(SettingsError, match=r"file/run cannot be written \(Not a directory\); choose .* --run-dir"):
-        prepare_run_dir(settings(run_dir=tmp_path / "file" / "run"))
-
-
-def test_the_default_directory_names_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Task, learner, seed and time, under runs/."""
-    monkeypatch.setattr(service, "time", SimpleNamespace(strftime=lambda form: "20250102-030405"))
-    given = settings(task="hopper", learner="ppo", seed=3)
-    assert default_run_dir(given) == Path("runs/hopper-ppo-s3-20250102-030405")
-
-
-def test_json_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What was there stays until the new content is on the disk."""
-    path = tmp_path / "summary.json"
-    write_json(path, {"a": 1})
-    assert json.loads(path.read_text()) == {"a": 1}
-    assert list(tmp_path.iterdir()) == [path]
-
-    def full(descriptor: int) -> None:
-        raise OSError(28, os.strerror(28))
-
-    monkeypatch.setattr(service.os, "fsync", full)
-    with pytest.raises(OSError, match="No space left"):
-        write_json(path, {"a": 2})
-    assert json.loads(path.read_text()) == {"a": 1}
-
 
 # -- who can reach it --------------------------------------------------------------------------------------
 

@@ -1,0 +1,219 @@
+"""What the service costs: the same run in one process and as learner and actors, turn by turn, in fresh processes.
+
+    make bench
+    python -m benchmarks.service --task humanoid --learner reskpn --actors 1 2 --repeats 3 --json result.json
+
+Both sides are measured over the same updates, the first few left out: one process by its own clock, the service by
+the times of the `/update` messages in its log. Options that this command does not know go to both sides as settings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from benchmarks.machine import describe, machine
+from benchmarks.one_process import UPDATES, WARM_UP
+from benchmarks.processes import run_json, run_module
+from common.errors import ReskpnError, SettingsError
+from common.log.reader import LogReader
+
+GOAL = 0.85
+"""Share of one process's speed that the service with one actor is to reach."""
+
+NS = 1e-9
+PHASES = {
+    "physics": "environments",
+    "policy": "acting, between two physics steps",
+    "learner": "the update",
+    "hand_over": "policy and rollout passed on in memory",
+    "publish": "snapshot encoded and announced",
+    "transport": "orders, snapshot and rollout on their way, checked and logged",
+}
+"""One after the other; together they are the whole update."""
+
+BESIDE = {
+    "wait": "learner's loop idle",
+    "record": "digest, policy log and checkpoint, while the actors are at work again",
+    "log": "the log's thread at work",
+    "push": "from sending a rollout to its acknowledgement; within transport",
+}
+"""Overlap with the phases above."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One run: environment steps per second, mean seconds of an update by phase, digest of the last state."""
+
+    env_steps_per_s: float
+    seconds: dict[str, float]
+    state_digest: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is compared. `settings` are options of `reskpn train`."""
+
+    settings: list[str]
+    batch_size: int
+    updates: int
+    warm_up: int
+
+    def __post_init__(self) -> None:
+        if not 0 < self.warm_up < self.updates:
+            raise SettingsError(
+                f"--warm-up is {self.warm_up}; it must be at least 1, for the clock starts at the end of an update, "
+                f"and less than the {self.updates} updates"
+            )
+
+
+def one_process(plan: Plan) -> Sample:
+    """The run without the service."""
+    result = run_json("benchmarks.one_process", [*plan.settings, "--warm-up", str(plan.warm_up)])
+    return Sample(result["env_steps_per_s"], result["seconds"], result["state_digest"])
+
+
+def service(plan: Plan, actors: int) -> Sample:
+    """The run as `reskpn train` makes it, its log read afterwards."""
+    with tempfile.TemporaryDirectory(prefix="reskpn-bench-") as folder:
+        run_dir = Path(folder) / "run"
+        places = ["--actors", str(actors), "--run-dir", str(run_dir), "--evaluation.episodes", "0"]
+        run_module("reskpn", ["train", *plan.settings, *places])
+        digest = json.loads((run_dir / "summary.json").read_text())["state_digest"]
+        updates = [(message.t_ns, message.json()) for message in LogReader(run_dir).messages(["/update"])]
+    counted = [record["seconds"] for _, record in updates[plan.warm_up :]]
+    update_s = (updates[-1][0] - updates[plan.warm_up - 1][0]) * NS / len(counted)
+    return Sample(plan.batch_size / update_s, phases(counted, update_s), digest)
+
+
+def phases(records: Sequence[Mapping[str, float]], update_s: float) -> dict[str, float]:
+    """Mean seconds of an update by phase, from the `seconds` of the `/update` messages. Of actors, the slowest counts.
+
+    Actors begin on the next rollout when a policy is published, while the learner still keeps its records. What is
+    left of an update without the actors' and the learner's work is therefore the transport, not the learner's wait
+    less the actors' work.
+    """
+    names = {name for record in records for name in record}
+    mean = {name: sum(record.get(name, 0.0) for record in records) / len(records) for name in names}
+    seconds = {"policy": mean["actor/collect"], "learner": mean["learner"], "publish": mean["publish"]}
+    if "actor/physics" in mean:
+        seconds["physics"] = mean["actor/physics"]
+    seconds["transport"] = update_s - sum(seconds.values())
+    beside = {"wait": mean["wait"], "record": mean["record"], "log": mean["log"], "push": mean["actor/push"]}
+    return seconds | beside | {"update": update_s}
+
+
+def compare(plan: Plan, actors: Sequence[int], repeats: int) -> dict[str, list[Sample]]:
+    """Samples by side ("one process", "1 actor", ...), taken in turns."""
+    samples: dict[str, list[Sample]] = {side: [] for side in ("one process", *map(_name, actors))}
+    for turn in range(repeats):
+        samples["one process"].append(one_process(plan))
+        for number in actors:
+            samples[_name(number)].append(service(plan, number))
+        done = ", ".join(f"{side} {found[-1].env_steps_per_s:,.0f}" for side, found in samples.items())
+        print(f"turn {turn + 1} of {repeats}: {done} steps/s", file=sys.stderr, flush=True)
+    return samples
+
+
+def _name(actors: int) -> str:
+    return f"{actors} actor{'s' if actors > 1 else ''}"
+
+
+def ratios(samples: Mapping[str, Sequence[Sample]], side: str) -> list[float]:
+    """Speed of a side over that of one process, pair by pair."""
+    pairs = zip(samples[side], samples["one process"], strict=True)
+    return [mine.env_steps_per_s / theirs.env_steps_per_s for mine, theirs in pairs]
+
+
+def speed_table(samples: Mapping[str, Sequence[Sample]]) -> Iterator[str]:
+    yield f"{'':14}{'steps/s (median)':>18}{'ratio (median)':>16}  pair by pair"
+    for side, found in samples.items():
+        speed = statistics.median(sample.env_steps_per_s for sample in found)
+        line = f"{side:14}{speed:>18,.0f}"
+        if side != "one process":
+            pairs = ratios(samples, side)
+            line += f"{statistics.median(pairs):>16.3f}  {' '.join(f'{ratio:.3f}' for ratio in pairs)}"
+        yield line
+    if "1 actor" in samples:
+        ratio = statistics.median(ratios(samples, "1 actor"))
+        digests = {sample.state_digest for side in ("one process", "1 actor") for sample in samples[side]}
+        yield f"goal for 1 actor: {GOAL}, {'met' if ratio >= GOAL else 'missed'}"
+        yield (
+            "one process and 1 actor ended in the same state, bit for bit"
+            if len(digests) == 1
+            else "one process and 1 actor did NOT end in the same state: they did not do the same work"
+        )
+
+
+def phase_table(samples: Mapping[str, Sequence[Sample]]) -> Iterator[str]:
+    def row(name: str, text: str) -> str:
+        cells = []
+        for found in samples.values():
+            values = [sample.seconds[name] for sample in found if name in sample.seconds]
+            cells.append(f"{1e3 * statistics.median(values):>13.1f}" if values else f"{'-':>13}")
+        return f"{name:12}{''.join(cells)}  {text}"
+
+    yield f"{'ms an update':12}{''.join(f'{side:>13}' for side in samples)}"
+    yield from (row(name, text) for name, text in PHASES.items())
+    yield row("update", "all of the above")
+    yield "beside those:"
+    yield from (row(name, text) for name, text in BESIDE.items())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    given, further = _parser().parse_known_args(arguments)
+    found = machine()
+    batch_size = given.num_envs * given.num_steps
+    names = ("task", "learner", "physics", "num_envs", "num_steps", "seed")
+    settings = [word for name in names for word in (f"--{name.replace('_', '-')}", str(getattr(given, name)))]
+    settings += ["--total-steps", str(given.updates * batch_size), *further]
+    try:
+        samples = compare(Plan(settings, batch_size, given.updates, given.warm_up), given.actors, given.repeats)
+    except ReskpnError as error:
+        print(f"service: {error}", file=sys.stderr)
+        return error.exit_code
+    print(
+        f"{given.task}, {given.learner}: {given.num_envs} environments x {given.num_steps} steps, "
+        f"{given.updates} updates of which the first {given.warm_up} are left out"
+    )
+    for line in (*describe(found), "", *speed_table(samples), "", *phase_table(samples)):
+        print(line)
+    if given.json:
+        content = {side: [asdict(sample) for sample in taken] for side, taken in samples.items()}
+        record = {"machine": found, "options": settings, "warm_up": given.warm_up, "samples": content}
+        given.json.write_text(json.dumps(record, indent=2) + "\n")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.service",
+        description="Speed of a run in one process and through the service, and where an update's time goes. "
+        "Further options are settings for both, such as --algorithm.hidden 64,64.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--task", default="hopper", help="environment")
+    parser.add_argument("--learner", default="dpo", help="algorithm")
+    parser.add_argument("--physics", default="auto", help="engine")
+    parser.add_argument("--num-envs", type=int, default=2048, metavar="N", help="environments over all actors")
+    parser.add_argument("--num-steps", type=int, default=10, metavar="N", help="steps of each for one update")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of every run")
+    parser.add_argument("--updates", type=int, default=UPDATES, metavar="N", help="updates of every run")
+    parser.add_argument("--warm-up", type=int, default=WARM_UP, metavar="N", help="first updates, not measured")
+    parser.add_argument(
+        "--actors", type=int, nargs="+", default=[1, 2], metavar="N", help="numbers of actors to measure"
+    )
+    parser.add_argument("--repeats", type=int, default=3, metavar="N", help="runs of each kind, in turns")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every sample there, too")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,306 @@
+"""An actor's life: it joins, does what is asked and no more, and begins anew when it is lost.
+
+The learner's side is the real one; what takes long, environments and compiling, is replaced by stand-ins.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from samples import RUN, rollout, settings, snapshot
+
+from common.errors import RefusedError, SessionError
+from common.log.writer import LogWriter
+from common.settings import TransportSettings
+from common.wire.session import Session
+from services.actor import service
+from services.actor.collector import Experience, Place
+from services.actor.service import run_actor
+from services.learner.hub import Hub
+
+DEADLINE_S = 15.0
+TIMING = {"collect": 0.5}
+
+
+class Reader:
+    """Takes a snapshot's arrays for a policy."""
+
+    def __init__(self, settings: object) -> None:
+        """Any settings will do."""
+
+    def read(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return arrays
+
+
+class StandIn:
+    """Rollouts whose rewards tell the policy, the place and the number they were made with."""
+
+    made: list[tuple[Place, int, float]]
+    ready: threading.Event
+
+    def __init__(self, settings: Any, place: Place, reader: Reader, threads: int) -> None:
+        self.place = place
+        self.seq = 0
+        self.physics = settings.physics
+
+    def compile(self) -> None:
+        assert self.ready.wait(DEADLINE_S)
+
+    def collect(self, policy: dict[str, np.ndarray]) -> Experience:
+        version = float(policy["count"])
+        self.made.append((self.place, self.seq, version))
+        arrays = {
+            name: value
+            for name, value in vars(rollout(reward=np.full((3, 2), version, np.float32))).items()
+            if isinstance(value, np.ndarray)
+        }
+        return Experience(arrays, TIMING)
+
+    def keep(self) -> None:
+        self.seq += 1
+
+
+@pytest.fixture
+def stand_in(monkeypatch: pytest.MonkeyPatch) -> type[StandIn]:
+    """The collector's stand-in, which keeps what it made; it has compiled unless its `ready` is cleared."""
+
+    class Fresh(StandIn):
+        made: list[tuple[Place, int, float]] = []  # noqa: RUF012
+        ready = threading.Event()
+
+    Fresh.ready.set()
+    monkeypatch.setattr(service, "Collector", Fresh)
+    monkeypatch.setattr(service, "PolicyReader", Reader)
+    monkeypatch.setattr(service, "prepare_jax", lambda: None)
+    monkeypatch.setattr(
+        service,
+        "evaluate",
+        lambda settings, reader, policy, episodes, threads: (
+            np.full(episodes, float(policy["count"]), np.float32),
+            np.full(episodes, 5, np.int32),
+        ),
+    )
+    return Fresh
+
+
+class Learner:
+    """A hub, its log and its session."""
+
+    def __init__(self, session: Session, directory: Path, **changes: Any) -> None:
+        self.session = session
+        self.log = LogWriter(directory)
+        self.events: list[tuple[str, str, str]] = []
+        self.hub = Hub(RUN, settings(**changes), session, self.log, lambda *event: self.events.append(event))
+        self.hub.begin(snapshot(0))
+        self.hub.open()
+
+    def close(self) -> None:
+        self.session.close()
+        self.log.close()
+
+    def batch(self) -> list[float]:
+        """The versions that the rollouts of the batch tell; orders are repeated until it is complete."""
+        deadline = time.monotonic() + DEADLINE_S
+        while (rollouts := self.hub.rollouts(0.2)) is None:
+            assert time.monotonic() < deadline, self.hub.waiting_for()
+            self.hub.announce()
+        return [float(r.reward[0, 0]) for r in rollouts]
+
+
+@pytest.fixture
+def learners(sessions: Callable[..., Session], tmp_path: Path) -> Iterator[Callable[..., Learner]]:
+    with ExitStack() as stack:
+        count = iter(range(9))
+
+        def make(**changes: Any) -> Learner:
+            learner = Learner(sessions(listen=True), tmp_path / f"log-{next(count)}", **changes)
+            stack.callback(learner.close)
+            return learner
+
+        yield make
+
+
+@pytest.fixture
+def actors(endpoint: str, stand_in: type[StandIn]) -> Iterator[Callable[..., Future[int]]]:
+    """Starts actors in threads of this process: `actors()`. What they say is in `actors.said`."""
+    stop = threading.Event()
+    said: list[str] = []
+    with ThreadPoolExecutor(4) as pool:
+
+        def start(**changes: Any) -> Future[int]:
+            options: dict[str, Any] = {"physics": "native", "run": "", "threads": 0, "connect_timeout_s": DEADLINE_S}
+            transport = TransportSettings(endpoint=endpoint)
+            return pool.submit(run_actor, transport, **options | changes, stop=stop, say=said.append)
+
+        start.stop, start.said = stop, said  # type: ignore[attr-defined]
+        yield start
+        stop.set()
+
+
+def test_an_actor_does_what_is_asked(learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn]) -> None:
+    """One rollout a version with that version's policy, an evaluation of the last, and it leaves when all is over."""
+    learner = learners(actors=1, num_envs=2)
+    done = actors()
+    for version in range(3):
+        assert learner.batch() == [float(version)]
+        learner.hub.begin(snapshot(version + 1), collect=version < 2)
+    learner.hub.ask_for_evaluation(6)
+    evaluation = learner.hub.evaluation(DEADLINE_S)
+    assert evaluation is not None
+    assert (evaluation.version, evaluation.episode_return.tolist()) == (3, [3.0] * 6)
+    learner.hub.finish()
+    assert done.result(DEADLINE_S) == 0
+    assert stand_in.made == [(Place(0, 0), seq, float(seq)) for seq in range(3)]
+    assert actors.said == [f"joined {RUN} as slot 0 (generation 0) with native physics", "the run is over"]
+
+
+def test_two_actors_share_a_run(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn], until: Callable[..., None]
+) -> None:
+    """Each fills its slot; of the work of one that is not there the other does as much as it is asked."""
+    learner = learners()
+    both = [actors(), actors()]
+    for version in range(2):
+        assert learner.batch() == [float(version)] * 2
+        learner.hub.begin(snapshot(version + 1))
+    assert sorted(place.slot for place, _, version in stand_in.made if version == 0.0) == [0, 1]
+    learner.hub.finish()
+    assert [one.result(DEADLINE_S) for one in both] == [0, 0]
+
+
+def test_an_actor_alone_does_the_work_of_two(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn], until: Callable[..., None]
+) -> None:
+    """Once the slot of another was lost: two rollouts a version, one after the other."""
+    learner = learners()
+    done = actors()
+    until(lambda: learner.hub.actors() == 1)
+    # A second actor that comes and goes, from slot 1.
+    learner.hub._fleet.join("passing", "native", 0.0)
+    learner.hub._lose("passing", "is gone")
+    for version in range(2):
+        assert learner.batch() == [float(version)] * 2
+        learner.hub.begin(snapshot(version + 1))
+    learner.hub.finish()
+    assert done.result(DEADLINE_S) == 0
+    assert stand_in.made[:4] == [(Place(0, 0), seq, version) for seq, version in enumerate([0.0, 0.0, 1.0, 1.0])]
+
+
+@pytest.mark.parametrize("collect", [True, False])
+def test_an_actor_that_was_given_up_joins_again(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn], collect: bool
+) -> None:
+    """It finds out by the orders, which do not name its slot, and starts as the next generation."""
+    learner = learners(actors=1, num_envs=2)
+    done = actors()
+    assert learner.batch() == [0.0]
+    ((_, member),) = learner.hub._fleet.members()
+    learner.hub._lose(member.incarnation, "sent no heartbeat")
+    learner.hub.begin(snapshot(1), collect=collect)
+    if collect:
+        assert learner.batch() == [1.0]
+    learner.hub.ask_for_evaluation(2)
+    assert learner.hub.evaluation(DEADLINE_S) is not None
+    assert "the learner has given this actor up; joining again" in actors.said
+    assert actors.said[-1] == f"joined {RUN} as slot 0 (generation 1) with native physics"
+    learner.hub.finish()
+    assert done.result(DEADLINE_S) == 0
+
+
+def test_an_actor_whose_slot_was_given_away_joins_again(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn], until: Callable[..., None]
+) -> None:
+    """It finds out by its next rollout, and starts as the next generation with new environments."""
+    learner = learners(actors=1, num_envs=2)
+    done = actors()
+    assert learner.batch() == [0.0]
+    ((_, member),) = learner.hub._fleet.members()
+    learner.hub.begin(snapshot(1))
+    assert learner.batch() == [1.0]
+    # Somebody else has the slot before any orders have told of it.
+    learner.hub._fleet.lose(member.incarnation)
+    learner.hub._fleet.join("other", "native", 0.0)
+    learner.hub.begin(snapshot(2))
+    until(lambda: any("join again; joining again" in line for line in actors.said))
+    learner.hub._lose("other", "is gone")
+    assert learner.batch() == [2.0]
+    # Generation 1 was "other".
+    assert stand_in.made[-1] == (Place(0, 2), 0, 2.0)
+    learner.hub.finish()
+    assert done.result(DEADLINE_S) == 0
+
+
+def test_a_learner_that_goes_is_waited_for(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn]
+) -> None:
+    """However long it takes: the time to connect is for the first one only. The next run is joined as a new actor."""
+    first = learners(actors=1, num_envs=2)
+    done = actors(connect_timeout_s=5.0)
+    assert first.batch() == [0.0]
+    first.close()
+    second = learners(actors=1, num_envs=2)
+    assert second.batch() == [0.0]
+    assert "the learner is gone; joining again" in actors.said
+    second.hub.finish()
+    assert done.result(DEADLINE_S) == 0
+    assert [seq for _, seq, _ in stand_in.made] == [0, 0]
+
+
+def test_an_actor_that_compiles_says_so_and_can_be_stopped(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn], until: Callable[..., None]
+) -> None:
+    """It is not given up meanwhile; told to stop, it leaves as soon as it can, without a rollout."""
+    stand_in.ready.clear()
+    learner = learners(actors=1, num_envs=2)
+    done = actors()
+    until(lambda: "slot 0 compiling" in learner.hub.waiting_for())
+    actors.stop.set()
+    stand_in.ready.set()
+    assert done.result(DEADLINE_S) == 0
+    until(lambda: learner.hub.actors() == 0)
+    assert stand_in.made == []
+
+
+def test_without_a_learner_an_actor_gives_up(actors: Any) -> None:
+    """After the time it was given."""
+    with pytest.raises(SessionError, match=r"no connection to tcp/127\.0\.0\.1:\d+ within 0\.2 s"):
+        actors(connect_timeout_s=0.2).result(DEADLINE_S)
+
+
+def test_an_actor_for_another_run_is_refused(learners: Callable[..., Learner], actors: Any) -> None:
+    """Its error is the learner's reason."""
+    learners()
+    with pytest.raises(RefusedError, match=r"does not take this actor: this learner runs 'run-1', not 'run-2'"):
+        actors(run="run-2").result(DEADLINE_S)
+
+
+def test_the_runs_own_engine_wins(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An actor's is used only where the run leaves the choice to it."""
+    engines = []
+    make = stand_in.__init__
+
+    def keep_engine(self: StandIn, settings: Any, *rest: Any) -> None:
+        engines.append(settings.physics)
+        make(self, settings, *rest)
+
+    monkeypatch.setattr(stand_in, "__init__", keep_engine)
+    for asked, own in (("native", "mjx"), ("auto", "mjx")):
+        learner = learners(actors=1, num_envs=2, physics=asked)
+        done = actors(physics=own)
+        learner.batch()
+        learner.hub.finish()
+        assert done.result(DEADLINE_S) == 0
+        learner.close()
+    assert engines == ["native", "mjx"]
+    joined = [line for line in actors.said if line.startswith("joined")]
+    assert [line.split(" with ")[1] for line in joined] == ["native physics", "mjx physics"]

@@ -1,0 +1,302 @@
+"""Rollouts and evaluations: what an actor makes is a function of policy, settings and place, and nothing else."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from functools import partial
+
+import jax
+import numpy as np
+import pytest
+from samples import settings
+
+from common.errors import CodecError
+from common.maths.kernels import make_kernel
+from common.maths.policy import Mean, Policy, act
+from common.maths.trees import to_arrays
+from common.physics.environments import BatchedEnvironment, make_environment
+from common.wire.messages import Rollout, RolloutShape
+from services.actor.collector import COLLECT, RESET, Collector, Experience, Place, PolicyReader, evaluate
+
+ENVS, STEPS, EPISODE = 4, 5, 7
+ROLLOUTS = 8
+SETTINGS = settings(
+    actors=2, num_envs=2 * ENVS, num_steps=STEPS, total_steps=400, episode_length=EPISODE, rkhs={"capacity": 6}
+)
+PLACE = Place(slot=1, generation=2)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_compiler() -> Iterator[None]:
+    """Less work for the compiler, which is what takes the time here."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
+@pytest.fixture(scope="module")
+def reader(quick_compiler: None) -> PolicyReader:
+    return PolicyReader(SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def environment(quick_compiler: None) -> BatchedEnvironment:
+    """The environments to step by hand."""
+    return make_environment("inverted_pendulum", "native", num_envs=ENVS, episode_length=EPISODE)
+
+
+@pytest.fixture(scope="module")
+def policy(reader: PolicyReader) -> Policy:
+    """A policy in which every part is at work: noise on all parameters, centres with weights, whitened observations."""
+    rng = np.random.default_rng(3)
+    arrays = to_arrays(reader.template)
+    for path, array in arrays.items():
+        if array.dtype == np.float32 and path.split("/")[0] in ("parameters", "expansion"):
+            arrays[path] = array + rng.normal(0.0, 0.3, array.shape).astype(np.float32)
+    arrays["observations/mean"] = rng.normal(0.0, 0.1, 4).astype(np.float32)
+    arrays["observations/variance"] = rng.uniform(0.5, 2.0, 4).astype(np.float32)
+    return reader.read(arrays)
+
+
+def make_collector(reader: PolicyReader, place: Place = PLACE) -> Collector:
+    collector = Collector(SETTINGS, place, reader)
+    collector.compile()
+    return collector
+
+
+@pytest.fixture(scope="module")
+def used(reader: PolicyReader, policy: Policy) -> tuple[Collector, list[Experience]]:
+    """A collector whose rollouts were all kept, and those rollouts."""
+    collector = make_collector(reader)
+    made = []
+    for _ in range(ROLLOUTS):
+        made.append(collector.collect(policy))
+        collector.keep()
+    return collector, made
+
+
+@pytest.fixture(scope="module")
+def made(used: tuple[Collector, list[Experience]]) -> list[dict[str, np.ndarray]]:
+    return [experience.arrays for experience in used[1]]
+
+
+def assert_same(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> None:
+    assert a.keys() == b.keys()
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name, strict=True)
+
+
+def joined(made: list[dict[str, np.ndarray]], name: str) -> np.ndarray:
+    """All rollouts as one, along time."""
+    return np.concatenate([arrays[name] for arrays in made])
+
+
+def test_a_rollout_fits_its_message(made: list[dict[str, np.ndarray]]) -> None:
+    """Shapes, dtypes and values are those that the learner checks."""
+    for seq, arrays in enumerate(made):
+        sent = Rollout("r", 1, "a", seq, 0, 1, timing={}, **arrays)
+        Rollout.decode(sent.encode()).check(RolloutShape(STEPS, ENVS, 4, 1))
+
+
+def test_until_it_is_kept_a_rollout_is_made_again(
+    used: tuple[Collector, list[Experience]], policy: Policy, reader: PolicyReader
+) -> None:
+    """The same bits, as often as it is asked for; another policy starts from the same states."""
+    collector, _ = used
+    seq = collector.seq
+    first, second = collector.collect(policy), collector.collect(policy)
+    assert_same(first.arrays, second.arrays)
+    other = collector.collect(reader.template)
+    np.testing.assert_array_equal(other.arrays["obs"][0], first.arrays["obs"][0])
+    assert (other.arrays["action"] != first.arrays["action"]).any()
+    assert_same(collector.collect(policy).arrays, first.arrays)
+    assert collector.seq == seq
+
+
+def test_once_kept_the_environments_go_on(
+    used: tuple[Collector, list[Experience]], made: list[dict[str, np.ndarray]]
+) -> None:
+    """A rollout starts with the observations that the one before ended with, and draws other noise."""
+    assert used[0].seq == ROLLOUTS
+    for before, after in itertools.pairwise(made):
+        np.testing.assert_array_equal(after["obs"][0], before["last_obs"])
+        assert (after["action"] != before["action"]).all()
+
+
+def test_the_same_place_makes_the_same_rollouts(
+    reader: PolicyReader, policy: Policy, made: list[dict[str, np.ndarray]]
+) -> None:
+    """Seed, slot, generation and seq decide: an actor on another machine makes the same bits."""
+    fresh = make_collector(reader)
+    for arrays in made[:3]:
+        assert_same(fresh.collect(policy).arrays, arrays)
+        fresh.keep()
+
+
+@pytest.mark.parametrize("place", [Place(slot=0, generation=2), Place(slot=1, generation=0)])
+def test_another_place_makes_other_rollouts(
+    reader: PolicyReader, policy: Policy, made: list[dict[str, np.ndarray]], place: Place
+) -> None:
+    """No two slots, and no two holders of a slot, see the same starts or draw the same noise."""
+    other = make_collector(reader, place).collect(policy).arrays
+    assert (other["obs"][0] != made[0]["obs"][0]).any(axis=-1).all()
+    assert (other["action"] != made[0]["action"]).all()
+
+
+def mean_of(reader: PolicyReader, policy: Policy, obs: np.ndarray) -> Mean:
+    """The policy mean in its parts, by the mathematics' own formula."""
+    kernel = make_kernel(SETTINGS.rkhs.kernel, SETTINGS.rkhs.bandwidth)
+    return jax.jit(partial(act, reader.networks, kernel, normalise=True))(policy, jax.numpy.asarray(obs))
+
+
+def test_actions_are_drawn_from_the_policy(
+    reader: PolicyReader, policy: Policy, made: list[dict[str, np.ndarray]]
+) -> None:
+    """`log_prob` is the diagonal Gaussian's density at the action, worked out by hand from the policy's mean."""
+    obs, action = joined(made, "obs").reshape(-1, 4), joined(made, "action").reshape(-1, 1)
+    mean = mean_of(reader, policy, obs)
+    total, deviation = np.asarray(mean.total), np.exp(np.asarray(mean.log_std))
+    # log N(a; m, s^2) = -((a - m) / s)^2 / 2 - log s - log(2 pi) / 2, summed over the action's one element
+    standardised = (action - total) / deviation
+    expected = (-0.5 * standardised**2 - np.log(deviation) - 0.5 * math.log(2 * math.pi)).sum(axis=-1)
+    np.testing.assert_allclose(joined(made, "log_prob").ravel(), expected, rtol=1e-4, atol=1e-5)
+    # 160 draws of a standard normal: mean within 4 / sqrt(160), standard deviation within 4 / sqrt(320) of 1
+    assert abs(standardised.mean()) < 0.32
+    assert abs(standardised.std() - 1.0) < 0.23
+    # Every part of the policy counts: without the expansion the means are others.
+    assert np.abs(np.asarray(mean.rkhs)).min() > 1e-4
+
+
+def test_rewards_and_ends_are_those_of_the_environments(
+    environment: BatchedEnvironment, made: list[dict[str, np.ndarray]]
+) -> None:
+    """The recorded actions, stepped one by one from the place's first states, give the recorded rollouts."""
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(SETTINGS.seed), PLACE.slot), PLACE.generation)
+    state = environment.reset(jax.random.fold_in(key, RESET))
+    assert RESET != COLLECT
+    for arrays in made:
+        cut = []
+        for t in range(STEPS):
+            np.testing.assert_allclose(arrays["obs"][t], state.obs, atol=1e-5)
+            state, step = environment.step(state, jax.numpy.asarray(arrays["action"][t]))
+            np.testing.assert_array_equal(arrays["reward"][t], step.reward)
+            np.testing.assert_array_equal(arrays["terminated"][t], step.terminated)
+            np.testing.assert_array_equal(arrays["truncated"][t], step.truncated)
+            # In the order of time, then environment: the observation the time limit cut the episode at.
+            cut += [np.asarray(step.final_obs)[n] for n in np.flatnonzero(arrays["truncated"][t])]
+        np.testing.assert_allclose(arrays["last_obs"], state.obs, atol=1e-5)
+        np.testing.assert_allclose(arrays["truncated_obs"], np.array(cut).reshape(-1, 4), atol=1e-5)
+    assert joined(made, "truncated").any()
+    assert joined(made, "terminated").any()
+
+
+def episodes_of(made: list[dict[str, np.ndarray]]) -> Iterator[tuple[list[float], list[int]]]:
+    """For each rollout returns and lengths of the episodes that end in it, counted by hand."""
+    returns, lengths = [0.0] * ENVS, [0] * ENVS
+    for arrays in made:
+        ended_returns, ended_lengths = [], []
+        for t in range(STEPS):
+            for n in range(ENVS):
+                returns[n] += float(arrays["reward"][t, n])
+                lengths[n] += 1
+                if arrays["terminated"][t, n] or arrays["truncated"][t, n]:
+                    ended_returns.append(returns[n])
+                    ended_lengths.append(lengths[n])
+                    returns[n], lengths[n] = 0.0, 0
+        yield ended_returns, ended_lengths
+
+
+def test_episodes_are_accounted_for(made: list[dict[str, np.ndarray]]) -> None:
+    """Each that ends is in the rollout it ends in, with its return and length over all rollouts it ran through."""
+    total = 0
+    for arrays, (returns, lengths) in zip(made, episodes_of(made), strict=True):
+        assert arrays["episode_return"].tolist() == returns
+        assert arrays["episode_length"].tolist() == lengths
+        total += len(returns)
+    # 4 environments x 40 steps, and no episode is longer than 7 steps
+    assert total >= ENVS * (ROLLOUTS * STEPS // EPISODE)
+    assert max(joined(made, "episode_length")) == EPISODE
+
+
+def test_an_episode_is_cut_at_its_length(made: list[dict[str, np.ndarray]]) -> None:
+    """It is truncated exactly then, and not when it ended by itself."""
+    for arrays in made:
+        over = arrays["terminated"] | arrays["truncated"]
+        cut = arrays["truncated"][over]  # in the order of time, then environment, as the episodes
+        assert (arrays["episode_length"][cut] == EPISODE).all()
+        assert not (arrays["terminated"] & arrays["truncated"]).any()
+
+
+def test_time_is_told_by_phase(used: tuple[Collector, list[Experience]]) -> None:
+    """Seconds inside the physics engine, and the rest."""
+    for experience in used[1]:
+        assert set(experience.timing) == {"collect", "physics"}
+        assert experience.timing["physics"] > 0.0
+        assert experience.timing["collect"] > 0.0
+
+
+def test_the_engine_is_known(used: tuple[Collector, list[Experience]]) -> None:
+    """By the name that the run's summary uses."""
+    assert used[0].physics == "native"
+
+
+# -- snapshots ---------------------------------------------------------------------------------------------
+
+
+def test_a_snapshot_of_other_settings_is_refused(reader: PolicyReader) -> None:
+    """An array of another shape, one too many and one too few are errors, not a policy."""
+    arrays = to_arrays(reader.template)
+    name = "parameters/log_std"
+    assert name in arrays
+    for wrong in (
+        arrays | {name: np.zeros(2, np.float32)},
+        arrays | {"stranger": np.zeros(1, np.float32)},
+        {path: array for path, array in arrays.items() if path != name},
+    ):
+        with pytest.raises(CodecError, match="settings"):
+            reader.read(wrong)
+
+
+def test_the_template_is_the_policy_before_the_first_update(reader: PolicyReader) -> None:
+    """h = 0 there: the mean is the residual layer's alone."""
+    obs = np.ones((3, 4), np.float32)
+    mean = mean_of(reader, reader.template, obs)
+    np.testing.assert_array_equal(mean.rkhs, np.zeros((3, 1)))
+    np.testing.assert_array_equal(jax.jit(reader.mode)(reader.template, obs), mean.residual)
+
+
+# -- evaluation --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def evaluated(reader: PolicyReader, policy: Policy) -> tuple[np.ndarray, np.ndarray]:
+    return evaluate(SETTINGS, reader, policy, episodes=ENVS, threads=1)
+
+
+def test_an_evaluation_is_so_many_episodes(evaluated: tuple[np.ndarray, np.ndarray]) -> None:
+    """One return and one length for each; the pendulum is worth 1 a step while it stands."""
+    returns, lengths = evaluated
+    assert (returns.shape, lengths.shape) == ((ENVS,), (ENVS,))
+    assert [array.dtype.name for array in evaluated] == ["float32", "int32"]
+    assert ((lengths >= 1) & (lengths <= EPISODE)).all()
+    np.testing.assert_array_equal(returns, lengths.astype(np.float32))
+
+
+def test_an_evaluation_is_deterministic(
+    environment: BatchedEnvironment, reader: PolicyReader, policy: Policy, evaluated: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """Starts drawn with the run's seed alone and actions without noise: stepped by hand, the same first episodes."""
+    state = environment.reset(jax.random.fold_in(jax.random.key(SETTINGS.seed), 0xE7A1))
+    returns, lengths = np.zeros(ENVS, np.float32), np.zeros(ENVS, np.int32)
+    mode = jax.jit(reader.mode)
+    for _ in range(EPISODE):
+        state, step = environment.step(state, mode(policy, state.obs))
+        first = (lengths == 0) & (np.asarray(step.episode_length) > 0)
+        returns = np.where(first, step.episode_return, returns)
+        lengths = np.where(first, step.episode_length, lengths)
+    np.testing.assert_array_equal(evaluated[0], returns)
+    np.testing.assert_array_equal(evaluated[1], lengths)
+    # The policy counts: with the mean alone some episodes are shorter than others, or than the limit.
+    assert lengths.min() < EPISODE
