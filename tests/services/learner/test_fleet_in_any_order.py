@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
@@ -12,7 +14,12 @@ from common.errors import RefusedError
 from common.wire.messages import Orders, Rollout
 from services.learner.fleet import Fleet
 
+BLANK = rollout()
 STATES = ("compiling", "waiting", "collecting", "pushing", "evaluating")
+
+
+def numbered(slot: int, incarnation: str, seq: int, version: int) -> Rollout:
+    return dataclasses.replace(BLANK, slot=slot, incarnation=incarnation, seq=seq, policy_version=version)
 
 
 def orders(fleet: Fleet) -> Orders:
@@ -86,17 +93,20 @@ class AnyOrderOfThings(RuleBasedStateMachine):
         changed = self.fleet.heard(heartbeat(slot, name, state), 0.0)
         assert name in self.present or not changed
 
+    @precondition(lambda self: self.present)
+    @rule(data=st.data(), logged=st.booleans())
+    def push_what_is_next(self, data: st.DataObject, logged: bool) -> None:
+        name = data.draw(st.sampled_from(sorted(self.present)))
+        self.push(name, self.present[name], self.admitted[name], self.version, logged)
+
     @precondition(lambda self: self.present or self.gone)
-    @rule(
-        data=st.data(),
-        seq_off=st.sampled_from([0, 0, 0, -1, 1]),
-        version_off=st.sampled_from([0, 0, 0, -1, 1]),
-        logged=st.booleans(),
-    )
-    def push(self, data: st.DataObject, seq_off: int, version_off: int, logged: bool) -> None:
+    @rule(data=st.data(), seq_off=st.integers(-1, 1), version_off=st.integers(-1, 1), logged=st.booleans())
+    def push_anything(self, data: st.DataObject, seq_off: int, version_off: int, logged: bool) -> None:
         name, slot = data.draw(st.sampled_from([*sorted(self.present.items()), *self.gone]))
-        seq, version = max(0, self.admitted[name] + seq_off), max(0, self.version + version_off)
-        made = rollout(slot, name, seq, version)
+        self.push(name, slot, max(0, self.admitted[name] + seq_off), max(0, self.version + version_off), logged)
+
+    def push(self, name: str, slot: int, seq: int, version: int, logged: bool) -> None:
+        made = numbered(slot, name, seq, version)
         known = seq < self.admitted[name]
         waiting = [other.key for other in self.under_way]
         answer = self.fleet.admit(made)
@@ -139,7 +149,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
         assert set(collect) == set(self.present.values())
         for name, slot in self.present.items():
             while self.made[name] < collect[slot]:
-                made = rollout(slot, name, self.admitted[name], self.version)
+                made = numbered(slot, name, self.admitted[name], self.version)
                 answer = self.fleet.admit(made)
                 if answer is not None:
                     assert answer.reason.startswith("surplus")
@@ -188,4 +198,4 @@ class AnyOrderOfThings(RuleBasedStateMachine):
 
 
 TestAnyOrderOfThings = AnyOrderOfThings.TestCase
-TestAnyOrderOfThings.settings = hypothesis_settings(max_examples=60, stateful_step_count=50, deadline=None)
+TestAnyOrderOfThings.settings = hypothesis_settings(max_examples=80, stateful_step_count=50, deadline=None)

@@ -1,0 +1,169 @@
+"""How fast the physics engines are, and how far they agree: the tables of docs/physics.md.
+
+    python -m benchmarks.physics --tasks hopper --physics native --num-envs 2048
+    python -m benchmarks.physics --tasks hopper --agreement
+
+Prints Markdown. Speed is the fastest of several rollouts with random actions, after one that is not counted; the
+rest of the machine should be idle. Steps for a second of CPU time (of all threads together) suffer less where it is
+not; times the number of cores, they are what an idle machine comes close to. Compiling MJX on a CPU takes about half a
+minute for each task.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.machine import describe, machine
+from common.errors import ReskpnError
+from common.physics.engines import MJX, NATIVE, PHYSICS, prepare_jax
+from common.physics.environments import BatchedEnvironment, EnvState, Transition, make_environment
+from common.tasks import TASKS
+
+MARKS = (1, 10, 50, 100)
+"""Steps after which the drift between the engines is reported."""
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Environment steps for a second of time and for one of CPU time; `share` of the time spent in the engine, or
+    None if not known."""
+
+    compile_s: float
+    steps_s: float
+    steps_cpu_s: float
+    share: float | None
+    diverged: int
+
+
+def random_actions(env: BatchedEnvironment, key: jax.Array, steps: int) -> jax.Array:
+    """Uniform in [-1, 1]: [T, N, A]."""
+    return jax.random.uniform(key, (steps, env.num_envs, env.action_size), minval=-1.0)
+
+
+def speed(env: BatchedEnvironment, steps: int, repeats: int) -> Speed:
+    """Time `repeats` rollouts of `steps` steps each; the fastest counts."""
+
+    @jax.jit
+    def rollout(state: EnvState, key: jax.Array) -> EnvState:
+        state, _ = jax.lax.scan(env.step, state, random_actions(env, key, steps))
+        return state
+
+    state = env.reset(jax.random.key(0))
+    began_s = time.perf_counter()
+    run = rollout.lower(state, jax.random.key(0)).compile()
+    compile_s = time.perf_counter() - began_s
+    state = jax.block_until_ready(run(state, jax.random.key(1)))
+    times = []
+    for repeat in range(repeats):
+        before = clocks(env)
+        state = jax.block_until_ready(run(state, jax.random.key(2 + repeat)))
+        times.append(clocks(env) - before)
+    seconds, _, engine_s = min(times, key=lambda taken: taken[0])
+    cpu_s = min(taken[1] for taken in times)
+    total = env.num_envs * steps
+    share = None if np.isnan(engine_s) else engine_s / seconds
+    return Speed(compile_s, total / seconds, total / cpu_s, share, int(state.diverged.sum()))
+
+
+def clocks(env: BatchedEnvironment) -> np.ndarray:
+    """[3] seconds: of the clock, of this process's threads on the CPU, in the engine (NaN if not known)."""
+    engine_s = env.physics_seconds()
+    return np.array([time.perf_counter(), time.process_time(), np.nan if engine_s is None else engine_s])
+
+
+def speed_table(options: argparse.Namespace) -> Iterator[str]:
+    """One line for each task and engine."""
+    yield "| task | physics | envs | env steps/s | per CPU second | time in the engine | compiling | diverged |"
+    yield "|---|---|---|---|---|---|---|---|"
+    for task in options.tasks:
+        for physics in options.physics:
+            env = make_environment(task, physics, num_envs=options.num_envs, threads=options.threads)
+            found = speed(env, options.steps, options.repeats)
+            share = "" if found.share is None else f"{found.share:.0%}"
+            yield (
+                f"| {task} | {env.physics} | {env.num_envs} | {found.steps_s:,.0f} "
+                f"| {found.steps_cpu_s:,.0f} | {share} | {found.compile_s:.0f} s | {found.diverged} |"
+            )
+
+
+def drift(native: BatchedEnvironment, mjx: BatchedEnvironment, actions: jax.Array) -> Iterator[tuple[int, np.ndarray]]:
+    """Both engines from one start under the same actions; at each of `MARKS`: the largest difference in the
+    observation of each environment [n], for those that are still in their first episode with both."""
+    ours = theirs = native.reset(jax.random.key(0))
+    alive = np.ones(native.num_envs, bool)
+    for step, action in enumerate(actions, start=1):
+        ours, by_native = native.step(ours, action)
+        theirs, by_mjx = mjx.step(theirs, action)
+        if step in MARKS:
+            yield step, difference(by_native, by_mjx)[alive]
+        for transition in (by_native, by_mjx):
+            alive &= ~np.asarray(transition.terminated | transition.truncated)
+
+
+def single_steps(native: BatchedEnvironment, mjx: BatchedEnvironment, actions: jax.Array) -> np.ndarray:
+    """The difference [T * N] after one step from the same state, all along a trajectory of the native engine."""
+    state, found = native.reset(jax.random.key(0)), []
+    for action in actions:
+        _, by_mjx = mjx.step(state, action)
+        state, by_native = native.step(state, action)
+        found.append(difference(by_native, by_mjx))
+    return np.concatenate(found)
+
+
+def difference(one: Transition, other: Transition) -> np.ndarray:
+    """[N], the largest over the numbers of an observation."""
+    return np.asarray(jnp.abs(one.final_obs - other.final_obs).max(axis=1))
+
+
+def agreement_table(options: argparse.Namespace) -> Iterator[str]:
+    """One line for each task: drift over time, and the error of single steps."""
+    marks = " | ".join(f"after {mark}" for mark in MARKS)
+    yield f"| task | {marks} | one step, median | one step, 99% | one step, largest |"
+    yield "|---" * (len(MARKS) + 4) + "|"
+    for task in options.tasks:
+        native = make_environment(task, NATIVE, num_envs=options.num_envs)
+        mjx = make_environment(task, MJX, num_envs=options.num_envs)
+        actions = random_actions(native, jax.random.key(1), MARKS[-1])
+        drifts = [
+            f"{np.median(found):.0e} / {found.max():.0e} ({len(found)})" if len(found) else "(0)"
+            for _, found in drift(native, mjx, actions)
+        ]
+        errors = single_steps(native, mjx, actions)
+        single = [np.median(errors), np.quantile(errors, 0.99), errors.max()]
+        yield f"| {task} | {' | '.join(drifts)} | {' | '.join(f'{error:.0e}' for error in single)} |"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tasks", nargs="+", default=list(TASKS), metavar="TASK", help="default: all eight")
+    parser.add_argument("--physics", nargs="+", default=["auto"], choices=PHYSICS)
+    parser.add_argument("--num-envs", type=int, default=None, help="default: 2048 for speed, 64 for agreement")
+    parser.add_argument("--threads", type=int, default=0, help="of the native engine; 0: one for each core")
+    parser.add_argument("--steps", type=int, default=10, help="steps in a rollout")
+    parser.add_argument("--repeats", type=int, default=10, help="rollouts that are timed")
+    parser.add_argument("--agreement", action="store_true", help="compare the engines instead of timing them")
+    options = parser.parse_args(arguments)
+    options.num_envs = options.num_envs or (64 if options.agreement else 2048)
+    try:
+        prepare_jax()
+        for line in describe(machine()):
+            print(line)
+        print()
+        for line in agreement_table(options) if options.agreement else speed_table(options):
+            print(line, flush=True)
+    except ReskpnError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
