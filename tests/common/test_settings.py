@@ -37,18 +37,18 @@ def test_batch_updates_and_environments() -> None:
 
 
 def test_defaults_are_possible() -> None:
-    """Nothing has to be set; the paper's sizes, for 3e6 steps."""
+    """Nothing has to be set; the paper's sizes, for 2.2e6 steps."""
     settings = RunSettings()
-    # 2048 * 10 = 20,480 transitions; 3,000,000 / 20,480 = 146.5
-    assert (settings.batch_size, settings.updates, settings.envs_per_actor) == (20_480, 146, 1024)
+    # 2048 * 10 = 20,480 transitions; 2,200,000 / 20,480 = 107.4
+    assert (settings.batch_size, settings.updates, settings.envs_per_actor) == (20_480, 107, 1024)
     assert (settings.task, settings.learner, settings.mode) == ("inverted_pendulum", "reskpn", "sync")
 
 
 @pytest.mark.parametrize(
     ("changes", "capacity"),
     [
-        ({}, 146),  # one centre an update, 146 updates
-        ({"rkhs": {"samples": 4}}, 584),  # 4 * 146
+        ({}, 107),  # one centre an update, 107 updates
+        ({"rkhs": {"samples": 4}}, 428),  # 4 * 107
         ({"total_steps": 5e7}, 2441),  # 5e7 / 20480 = 2441.4
         ({"total_steps": 1e9}, PAPER_CENTRES),  # 48,828 updates, and no more centres than in the paper
         ({"total_steps": 1e9, "rkhs": {"samples": 3000}}, 3000),  # room for one step's samples at least

@@ -9,9 +9,6 @@ import jax
 import optax
 import pytest
 
-# As `tests/conftest.py` does after collection: modules of this folder use JAX as soon as they are imported.
-jax.config.update("jax_cpu_enable_async_dispatch", False)
-
 
 def _with_promotion(function: Callable) -> Callable:
     def promoting(*args: Any, **kwargs: Any) -> Any:

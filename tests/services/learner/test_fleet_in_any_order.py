@@ -40,6 +40,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
         self.fleet = Fleet(RUN, slots)
         self.fleet.begin(0)
         self.version = 0
+        self.let_in = 0
         self.given = [0] * slots
         self.present: dict[str, int] = {}
         self.gone: list[tuple[str, int]] = []
@@ -173,6 +174,9 @@ class AnyOrderOfThings(RuleBasedStateMachine):
     def note_admitted(self, name: str, made: Rollout) -> None:
         self.admitted[name] += 1
         self.made[name] += 1
+        # No more are let into the log than the version's batch holds.
+        self.let_in += 1
+        assert self.let_in <= self.slots
         self.under_way.append(made)
 
     def log(self, made: Rollout) -> None:
@@ -182,6 +186,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
     def begin(self) -> None:
         self.version += 1
         self.fleet.begin(self.version)
+        self.let_in = 0
         self.made = dict.fromkeys(self.made, 0)
 
     def use_batch(self) -> bool:
