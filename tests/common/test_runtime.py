@@ -68,8 +68,8 @@ def test_where_compiled_programs_are_kept(
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     prepare_jax()
-    assert jax.config.read("jax_compilation_cache_dir") == folder
-    assert jax.config.read("jax_persistent_cache_min_compile_time_secs") == 1.0
+    assert jax.config.jax_compilation_cache_dir == folder
+    assert jax.config.jax_persistent_cache_min_compile_time_secs == 1.0
 
 
 # -- the commit --------------------------------------------------------------------------------------------
