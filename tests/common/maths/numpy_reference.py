@@ -136,7 +136,9 @@ class Transition:
     target: float
 
 
-def policy_mean(arrays: Arrays, h: tuple[np.ndarray, np.ndarray], observation: np.ndarray, bandwidth: float) -> np.ndarray:
+def policy_mean(
+    arrays: Arrays, h: tuple[np.ndarray, np.ndarray], observation: np.ndarray, bandwidth: float
+) -> np.ndarray:
     """m(o) = h(psi(o)) + mu(psi(o)), h given as (centres, weights)."""
     return expansion(*h, features(arrays, observation), bandwidth) + residual(arrays, observation)
 
