@@ -31,8 +31,9 @@ test: setup  ## all tests that fit in a few minutes
 lint: setup  ## style, types and import rules
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
 
-bench: setup  ## steps/s in one process and through the service, and where the time goes
+bench: setup  ## steps/s in one process and through the service, where the time goes, and what the RKHS part costs
 	@$(BIN)/python -m benchmarks.service
+	@$(BIN)/python -m benchmarks.update
 
 lock:  ## pin the requirements anew
 	@$(BIN)/uv pip compile -q --python-version 3.11 --universal --generate-hashes --no-emit-index-url --no-header \

@@ -32,6 +32,8 @@ class Embedding:
         return self.weights.shape[0]
 
 
+_BLOCK = 4096
+
 Function = Expansion | Embedding
 FunctionT = TypeVar("FunctionT", Expansion, Embedding)
 MomentumT = TypeVar("MomentumT", bound=Momentum)
@@ -122,7 +124,12 @@ class OfKernels(Representation[Expansion, MomentumT]):
         return gram(self.kernel, features, function.centres)
 
     def inner(self, function: Expansion, weights: Float[Array, "M A"]) -> Float[Array, "M A"]:
-        return gram(self.kernel, function.centres, function.centres) @ weights
+        def of_centre(centre: Float[Array, "d"]) -> Float[Array, "A"]:
+            return (gram(self.kernel, centre[None], function.centres) @ weights)[0]
+
+        if self.capacity <= _BLOCK:
+            return gram(self.kernel, function.centres, function.centres) @ weights
+        return jax.lax.map(of_centre, function.centres, batch_size=_BLOCK)  # a whole Gram matrix might not fit
 
 
 class OfFeatures(Representation[Embedding, Momentum]):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -37,22 +37,27 @@ def stepped(
     dtype = state[0].weights.dtype
     z, alpha = jnp.asarray(features, dtype), jnp.asarray(coefficients, dtype)
     pool = z if landmarks is None else jnp.asarray(landmarks, dtype)
+    return _step(representation, decay)(*state, z, alpha, pool)
 
+
+@cache
+def _step(representation: Representation[Any, Any], decay: float) -> Any:
     @partial(jax.jit, compiler_options=QUICK_COMPILE)
     def step(function: Any, momentum: Any, z: Array, alpha: Array, pool: Array) -> tuple[Any, Any]:
         function, momentum = representation.average(function, momentum, z, alpha, lambda k: pool[:k], decay=decay)
         return representation.apply(function, momentum, 1.0, shrinkage=0.0), momentum
 
-    return step(*state, z, alpha, pool)
+    return step
 
 
 def value(representation: Representation[Any, Any], function: Any, at: np.ndarray) -> np.ndarray:
     """h at points."""
-    return np.asarray(
-        jax.jit(representation.evaluate, compiler_options=QUICK_COMPILE)(
-            function, jnp.asarray(at, function.weights.dtype)
-        )
-    )
+    return np.asarray(_evaluate(representation)(function, jnp.asarray(at, function.weights.dtype)))
+
+
+@cache
+def _evaluate(representation: Representation[Any, Any]) -> Any:
+    return jax.jit(representation.evaluate, compiler_options=QUICK_COMPILE)
 
 
 def gaussian_sum(centres: np.ndarray, weights: np.ndarray, at: np.ndarray, bandwidth: float) -> np.ndarray:
