@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 
-def _whole(value: Any) -> Any:
+def whole(value: Any) -> Any:
     """Accept `3e6`, which YAML and shells hand over as text or float, as a whole number."""
     if isinstance(value, str) and not value.strip().isdecimal():  # digits alone are exact; a float might not be
         try:
@@ -17,9 +17,9 @@ def _whole(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-Count = Annotated[int, BeforeValidator(_whole), Field(ge=1)]
-Natural = Annotated[int, BeforeValidator(_whole), Field(ge=0)]
-Seed = Annotated[int, BeforeValidator(_whole), Field(ge=0, lt=2**32)]  # JAX drops higher bits: two seeds, one run
+Count = Annotated[int, BeforeValidator(whole), Field(ge=1)]
+Natural = Annotated[int, BeforeValidator(whole), Field(ge=0)]
+Seed = Annotated[int, BeforeValidator(whole), Field(ge=0, lt=2**32)]  # JAX drops higher bits: two seeds, one run
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]

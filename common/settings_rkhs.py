@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator
 
-from common.settings_kinds import Count, Natural, NotNegative, Positive, Section
+from common.settings_kinds import Count, Natural, NotNegative, Positive, Section, whole
 from common.tasks import unknown_name
 
 KERNELS = ("gaussian", "laplacian", "linear", "sigmoid")
@@ -26,6 +26,14 @@ _ABLE = {
 }
 
 
+def _samples(value: Any) -> Any:
+    """A whole number of at least 1, or "batch"; one sentence for whatever else there is."""
+    number = whole(value)
+    if value != "batch" and (isinstance(number, bool) or not isinstance(number, int) or number < 1):
+        raise ValueError("must be a whole number of at least 1, or 'batch' for the whole batch")
+    return number
+
+
 class RkhsSettings(Section):
     """The RKHS part h of the policy and its functional gradient step (paper, section 3 and Table 1)."""
 
@@ -41,7 +49,7 @@ class RkhsSettings(Section):
     """how h is kept: exact, nystrom, rff, kmp (kernel matching pursuit), cluster, basis"""
     capacity: Count | None = None
     """centres, landmarks or features of h; default: room for every step, at most 2,441 (exact), else 256"""
-    samples: Count | Literal["batch"] = 1
+    samples: Annotated[int | Literal["batch"], BeforeValidator(_samples)] = 1
     """transitions drawn for one functional gradient (n), or batch for all of them"""
     step: Literal["fixed", "trust-region"] = "fixed"
     """size of the functional step: fixed by eta, or such that it changes the policy by kl_target"""

@@ -26,6 +26,8 @@ def settings(**rkhs: object) -> RunSettings:
         ({"capacity": 4, "samples": 5}, r"rkhs.capacity \(4\) must hold.*rkhs.samples \(5\)"),
         ({"capacity": 4, "samples": "batch"}, r"rkhs.capacity \(4\) must hold.*\(640\)"),
         ({"bandwidth": -1.0}, "greater than 0"),
+        ({"samples": "many"}, "must be a whole number of at least 1, or 'batch'"),
+        ({"samples": 0}, "must be a whole number of at least 1, or 'batch'"),
         ({"samples": 641}, r"rkhs.samples \(641\) must be at most the batch of 640"),
         ({"representation": "nystrom", "capacity": 641}, r"\(641\) must be at most the batch of 640"),
         ({"representation": "rff", "capacity": 7}, r"\(7\) must be even"),
