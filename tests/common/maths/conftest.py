@@ -1,4 +1,4 @@
-"""Numerics of the tests of this folder: no implicit promotion of dtypes."""
+"""Numerics of the tests of this folder: no implicit promotion of dtypes, and programs compiled in a hurry."""
 
 from __future__ import annotations
 
@@ -24,3 +24,12 @@ def strict_promotion() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch, jax.numpy_dtype_promotion("strict"):
         patch.setattr(optax.tree, "bias_correction", _with_promotion(optax.tree.bias_correction))
         yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def quick_compile() -> Iterator[None]:
+    """Programs here run a few times on a few numbers: nearly all of their cost would be the compiler's."""
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from small_learners import QUICK_COMPILE
 
 from common.maths.rkhs.representation import Representation
 
@@ -42,7 +41,7 @@ def stepped(
 
 @cache
 def _step(representation: Representation[Any, Any], decay: float) -> Any:
-    @partial(jax.jit, compiler_options=QUICK_COMPILE)
+    @jax.jit
     def step(function: Any, momentum: Any, z: Array, alpha: Array, pool: Array) -> tuple[Any, Any]:
         function, momentum = representation.average(function, momentum, z, alpha, lambda k: pool[:k], decay=decay)
         return representation.apply(function, momentum, 1.0, shrinkage=0.0), momentum
@@ -57,7 +56,7 @@ def value(representation: Representation[Any, Any], function: Any, at: np.ndarra
 
 @cache
 def _evaluate(representation: Representation[Any, Any]) -> Any:
-    return jax.jit(representation.evaluate, compiler_options=QUICK_COMPILE)
+    return jax.jit(representation.evaluate)
 
 
 def gaussian_sum(centres: np.ndarray, weights: np.ndarray, at: np.ndarray, bandwidth: float) -> np.ndarray:

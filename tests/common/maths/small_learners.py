@@ -16,10 +16,13 @@ from common.maths.networks import Networks, make_networks
 from common.maths.rkhs.make import make_representation
 from common.maths.state import Batch, LearnerState, initial_state
 from common.maths.update import Metrics, Update, make_update
-from common.settings import RunSettings
+from common.settings import AlgorithmSettings, RkhsSettings, RunSettings
 
-# These programs run a few times on a few numbers: most of their cost is the compiler's.
-QUICK_COMPILE = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+GAMMA = 0.5
+STEPS, ENVS, SLOTS, EPOCHS, MINIBATCHES = 3, 32, 2, 4, 2
+DRAWN, UPDATES = 16, 50
+CAPACITY = DRAWN * UPDATES
+"""Sizes of `probe_learner`; it draws 16 transitions for a functional gradient, and has room for 50 such steps."""
 
 Arrays = dict[str, np.ndarray]
 
@@ -53,7 +56,30 @@ def small_learner(
         seed=settings.seed,
     )
     update = make_update(settings, networks)
-    return SmallLearner(settings, networks, update, start, jax.jit(update, compiler_options=QUICK_COMPILE))
+    return SmallLearner(settings, networks, update, start, jax.jit(update))
+
+
+def probe_learner(name: str, capacity: int | None = None) -> SmallLearner:
+    """A learner for one observation and one action, shuffling minibatches, without normalisation of anything."""
+    algorithm = AlgorithmSettings(
+        gamma=GAMMA,
+        epochs=EPOCHS,
+        minibatches=MINIBATCHES,
+        learning_rate=1e-2,
+        hidden=(16, 16),
+        normalise_observations=False,
+        normalise_rewards=False,
+    )
+    settings = RunSettings(
+        learner=name,
+        actors=SLOTS,
+        num_envs=ENVS,
+        num_steps=STEPS,
+        total_steps=UPDATES * STEPS * ENVS,
+        algorithm=algorithm,
+        rkhs=RkhsSettings(bandwidth=0.1, eta=0.1, samples=DRAWN, capacity=CAPACITY),
+    )
+    return small_learner(settings, 1, 1, capacity)
 
 
 def random_batch(learner: SmallLearner, seed: int, *, ends: bool = True) -> Batch:
@@ -81,7 +107,7 @@ def random_batch(learner: SmallLearner, seed: int, *, ends: bool = True) -> Batc
         last_observation=normal(envs, networks.observation_size),
         cut_observation=jnp.where(jnp.asarray(truncated.any(axis=0))[:, None], cut, 0.0),
         slot=jnp.arange(slots, dtype=jnp.int32),
-        fresh=jnp.zeros(slots, jnp.bool_),
+        fresh=jnp.arange(slots) % 2 == 1,
     )
 
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_learners import QUICK_COMPILE, small_learner
+from small_learners import small_learner
 
 from common.maths.functional import FunctionalStep, symmetric
 from common.maths.policy import Mean, Policy
@@ -41,7 +41,7 @@ def transitions(seed: int = 0) -> Samples:
 
 def run(step: FunctionalStep, state: Any, updates: int, **changes: Any) -> tuple[Any, Any, Any, Any]:
     """h, v and metrics after that many steps, and the compiled function."""
-    compiled = jax.jit(step, compiler_options=QUICK_COMPILE)
+    compiled = jax.jit(step)
     function, momentum, metrics = state.expansion, state.momentum, {}
     for i in range(updates):
         batch = transitions(i)
@@ -92,7 +92,7 @@ def test_without_a_direction_there_is_no_step() -> None:
     step, state = functional(representation="rff", capacity=16, samples="batch", step="trust-region")
     batch = transitions(0)
     batch = Samples(batch.observation, batch.action, batch.log_prob, batch.value, jnp.ones(COUNT, jnp.float32))
-    function, _, _ = jax.jit(step, compiler_options=QUICK_COMPILE)(
+    function, _, _ = jax.jit(step)(
         state.expansion, state.momentum, state.parameters["policy"], batch, jax.random.key(0)
     )
     np.testing.assert_array_equal(function.weights, 0.0)
