@@ -12,6 +12,7 @@ from jaxtyping import Float, Key
 
 from common.maths.expansion import Momentum
 from common.maths.rkhs.representation import Embedding, OfFeatures
+from common.maths.trigonometry import cos_sin
 
 
 @final
@@ -36,8 +37,8 @@ class Fourier(OfFeatures):
         return Embedding(frequencies, weights), Momentum(weights, jnp.zeros((), jnp.int32))
 
     def activations(self, function: Embedding, features: Float[Array, "B d"]) -> Float[Array, "B M"]:
-        phase = features @ function.directions.T
-        return jnp.concatenate([jnp.cos(phase), jnp.sin(phase)], axis=1) * (function.directions.shape[0] ** -0.5)
+        cosine, sine = cos_sin(features @ function.directions.T)
+        return jnp.concatenate([cosine, sine], axis=1) * (function.directions.shape[0] ** -0.5)
 
 
 def gaussian_frequencies(key: Key[Array, ""], count: int, size: int, bandwidth: float) -> Float[Array, "F d"]:
