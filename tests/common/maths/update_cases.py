@@ -17,14 +17,14 @@ from common.settings import AlgorithmSettings, RkhsSettings, RunSettings
 GAMMA, LAMBDA, CLIP, VALUE_COEFFICIENT, ENTROPY_COEFFICIENT = 0.9, 0.8, 0.2, 0.5, 0.01
 BANDWIDTH, ETA, MOMENTUM = 0.5, 0.1, 0.9
 DPO_ALPHA, DPO_BETA, DRIFT_ALPHA, DRIFT_BETA = 2.0, 0.6, 1.0, 0.6
-OLD_CENTRES, CAPACITY = 3, 16
+OLD_CENTRES, DRAWN, CAPACITY = 3, 8, 16
 
 
 def one_gradient_step(name: str) -> SmallLearner:
     """A learner whose update is one pass over one minibatch, T = 3, E = 4 (two slots of two), O = 2, A = 2.
 
     With an epsilon far above any gradient, and a learning rate as large, Adam's first step is the gradient:
-    lr g / (|g| + eps) = g / (1 + |g| / 1e4). All 12 transitions are drawn for the functional gradient.
+    lr g / (|g| + eps) = g / (1 + |g| / 1e4). 8 of the 12 transitions are drawn for the functional gradient.
     """
     algorithm = AlgorithmSettings(
         gamma=GAMMA,
@@ -49,7 +49,7 @@ def one_gradient_step(name: str) -> SmallLearner:
         clip=1.0,
         drift_alpha=DRIFT_ALPHA,
         drift_beta=DRIFT_BETA,
-        samples=12,
+        samples=DRAWN,
         capacity=CAPACITY,
     )
     settings = RunSettings(

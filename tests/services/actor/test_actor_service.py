@@ -45,6 +45,7 @@ class StandIn:
 
     made: list[tuple[Place, int, float]]
     ready: threading.Event
+    before_rollout: Callable[[], None]
 
     def __init__(self, settings: Any, place: Place, reader: Reader, threads: int) -> None:
         self.place = place
@@ -56,6 +57,7 @@ class StandIn:
 
     def collect(self, policy: dict[str, np.ndarray]) -> Experience:
         version = float(policy["count"])
+        type(self).before_rollout()
         self.made.append((self.place, self.seq, version))
         arrays = {
             name: value
@@ -75,6 +77,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> type[StandIn]:
     class Fresh(StandIn):
         made: list[tuple[Place, int, float]] = []  # noqa: RUF012
         ready = threading.Event()
+        before_rollout = staticmethod(lambda: None)
 
     Fresh.ready.set()
     monkeypatch.setattr(service, "Collector", Fresh)
@@ -192,6 +195,32 @@ def test_an_actor_alone_does_the_work_of_two(
     learner.hub.finish()
     assert done.result(DEADLINE_S) == 0
     assert stand_in.made[:4] == [(Place(0, 0), seq, version) for seq, version in enumerate([0.0, 0.0, 1.0, 1.0])]
+
+
+def test_a_rollout_that_comes_too_late_is_made_anew(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn], until: Callable[..., None]
+) -> None:
+    """With the newer policy, from the same states; no other is made with the old one, though two were asked for."""
+    learner = learners()
+    moved_on = threading.Event()
+
+    def move_on() -> None:
+        if not moved_on.is_set():
+            moved_on.set()
+            learner.hub.begin(snapshot(1))
+
+    stand_in.before_rollout = staticmethod(move_on)
+    stand_in.ready.clear()
+    done = actors()
+    until(lambda: learner.hub.actors() == 1)
+    # A second actor that comes and goes, from slot 1: the first is asked for two rollouts once it is ready.
+    learner.hub._fleet.join("passing", "native", 0.0)
+    learner.hub._lose("passing", "is gone")
+    stand_in.ready.set()
+    assert learner.batch() == [1.0, 1.0]
+    assert [(seq, version) for _, seq, version in stand_in.made] == [(0, 0.0), (0, 1.0), (1, 1.0)]
+    learner.hub.finish()
+    assert done.result(DEADLINE_S) == 0
 
 
 @pytest.mark.parametrize("collect", [True, False])
