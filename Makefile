@@ -9,6 +9,7 @@ ACTORS ?= 2
 SEED ?= 0
 PHYSICS ?= auto
 ARGS ?=
+UPDATE_ARGS ?=
 
 .PHONY: help setup train test lint bench lock clean
 
@@ -31,8 +32,9 @@ test: setup  ## all tests that fit in a few minutes
 lint: setup  ## style, types and import rules
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
 
-bench: setup  ## steps/s in one process and through the service, and where the time goes; ARGS="--task humanoid"
+bench: setup  ## speed of the service, where the time goes, and what the RKHS part costs; ARGS="--task humanoid"
 	@$(BIN)/python -m benchmarks.service $(ARGS)
+	@$(BIN)/python -m benchmarks.update $(UPDATE_ARGS)
 
 lock:  ## pin the requirements anew
 	@$(BIN)/uv pip compile -q --python-version 3.11 --universal --generate-hashes --no-emit-index-url --no-header \

@@ -8,39 +8,16 @@ given by `--config`, the defaults below (which are the paper's Table 1 where it 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import field_validator, model_validator
 
 from common.learners import LEARNERS
+from common.settings_kinds import Count, Fraction, Natural, NotNegative, Positive, Section, Seed
+from common.settings_rkhs import RkhsSettings, impossibility
 from common.tasks import EPISODE_LENGTH, TASKS, unknown_name
 
 PHYSICS = ("auto", "mjx", "native")
-KERNELS = ("gaussian",)
-
-
-def _whole(value: Any) -> Any:
-    """Accept `3e6`, which YAML and shells hand over as text or float, as a whole number."""
-    if isinstance(value, str) and not value.strip().isdecimal():  # digits alone are exact; a float might not be
-        try:
-            value = float(value)
-        except ValueError:
-            return value
-    return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
-Count = Annotated[int, BeforeValidator(_whole), Field(ge=1)]
-Natural = Annotated[int, BeforeValidator(_whole), Field(ge=0)]
-Seed = Annotated[int, BeforeValidator(_whole), Field(ge=0, lt=2**32)]  # JAX drops higher bits: two seeds, one run
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-
-
-class Section(BaseModel):
-    """A frozen group of settings; an unknown name is an error."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
 class AlgorithmSettings(Section):
@@ -85,36 +62,6 @@ class AlgorithmSettings(Section):
         if not hidden:
             raise ValueError("needs at least one layer, for example [256, 256]")
         return hidden
-
-
-class RkhsSettings(Section):
-    """The kernel expansion h and its functional gradient step (paper, section 3 and Table 1)."""
-
-    kernel: str = "gaussian"
-    """kernel over features z/sqrt(d)"""
-    bandwidth: Positive = 0.5
-    """sigma squared of the Gaussian kernel exp(-|x-y|^2 / bandwidth)"""
-    eta: NotNegative = 0.1
-    """step size of the functional gradient"""
-    momentum: Annotated[float, Field(ge=0, lt=1)] = 0.9
-    """moving average of the functional gradient"""
-    clip: Positive = 1.0
-    """clip of the ratio in the functional gradient"""
-    drift_alpha: Positive = 1.0
-    """drift of the functional gradient for positive advantages"""
-    drift_beta: Positive = 0.6
-    """drift of the functional gradient for negative advantages"""
-    samples: Count = 1
-    """transitions drawn for one functional gradient (n)"""
-    capacity: Count | None = None
-    """centres kept; when full the oldest give way; default: room for every step of the run, at most 2,441"""
-
-    @field_validator("kernel")
-    @classmethod
-    def _known_kernel(cls, kernel: str) -> str:
-        if kernel not in KERNELS:
-            raise ValueError(unknown_name("kernel", kernel, KERNELS))
-        return kernel
 
 
 class TransportSettings(Section):
@@ -233,12 +180,8 @@ class RunSettings(Section):
             raise ValueError(
                 f"num_steps ({self.num_steps}) must not be longer than an episode ({self.episode_length} steps)"
             )
-        if self.rkhs.samples > batch:
-            raise ValueError(f"rkhs.samples ({self.rkhs.samples}) must be at most the batch of {batch} transitions")
-        if self.rkhs.capacity is not None and self.rkhs.capacity < self.rkhs.samples:
-            raise ValueError(
-                f"rkhs.capacity ({self.rkhs.capacity}) must hold at least one step's rkhs.samples ({self.rkhs.samples})"
-            )
+        if (reason := impossibility(self.rkhs, batch)) is not None:
+            raise ValueError(reason)
         return self
 
     @property
@@ -256,17 +199,16 @@ class RunSettings(Section):
         return self.num_envs // self.actors
 
     @property
+    def samples(self) -> int:
+        """Transitions of one functional gradient, n."""
+        return self.batch_size if self.rkhs.samples == "batch" else self.rkhs.samples
+
+    @property
     def capacity(self) -> int:
-        """Centres the expansion has room for; 0 where the learner has no expansion."""
+        """Centres, landmarks or features that h has room for; 0 where the learner has no h."""
         if not LEARNERS[self.learner].rkhs:
             return 0
-        if self.rkhs.capacity is not None:
-            return self.rkhs.capacity
-        return max(min(self.updates * self.rkhs.samples, PAPER_CENTRES), self.rkhs.samples)
-
-
-PAPER_CENTRES = 2441
-"""Centres of the paper's runs: 5e7 steps in updates of 20,480, one centre each."""
+        return self.rkhs.room(self.updates, self.batch_size)
 
 
 def _round_to(value: int, multiple: int) -> int:

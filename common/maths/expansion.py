@@ -1,4 +1,4 @@
-"""The policy's RKHS part h = sum_i w_i K(c_i, .): centres frozen when added, weights that move.
+"""h as a sum over centres, sum_i w_i K(c_i, .): centres frozen when added, weights that move.
 
 The arrays have their full capacity M from the start, so growth neither recompiles nor reallocates. A row not
 used yet has weight zero, which makes its kernel value irrelevant.
@@ -34,8 +34,8 @@ class Expansion:
 class Momentum:
     """What the functional gradient step keeps from one update to the next.
 
-    velocity: the moving average of the functional gradient, in coefficients of the expansion's centres.
-    added: centres added since the start; the newest stands in row (added - 1) mod M.
+    velocity: the moving average of the functional gradient, in the coefficients of h.
+    added: centres added since the start; for representations that add none, updates since the start.
     """
 
     velocity: Float[Array, "M A"]
@@ -59,6 +59,31 @@ def evaluate(expansion: Expansion, kernel: Kernel, features: Float[Array, "B d"]
     return gram(kernel, features, expansion.centres) @ expansion.weights
 
 
+def append(
+    expansion: Expansion,
+    momentum: Momentum,
+    features: Float[Array, "n d"],
+    coefficients: Float[Array, "n A"],
+    *,
+    decay: float,
+) -> tuple[Expansion, Momentum]:
+    """Take n centres in, with weight 0, and g = sum_k alpha_k K(c_k, .) into v <- decay v + (1 - decay) g.
+
+    The newest centre stands in row (added - 1) mod M. A full expansion gives up its oldest centres, and what
+    they contributed to h and v.
+
+    Args:
+        features: the new centres c_k.
+        coefficients: alpha_k.
+    """
+    rows = (momentum.added + jnp.arange(features.shape[0], dtype=jnp.int32)) % expansion.capacity
+    centres = expansion.centres.at[rows].set(features)
+    velocity = decay * momentum.velocity.at[rows].set(0.0)
+    velocity = velocity.at[rows].add((1.0 - decay) * coefficients)
+    weights = expansion.weights.at[rows].set(0.0)
+    return Expansion(centres, weights), Momentum(velocity, momentum.added + features.shape[0])
+
+
 def step(
     expansion: Expansion,
     momentum: Momentum,
@@ -67,19 +92,9 @@ def step(
     *,
     decay: float,
 ) -> tuple[Expansion, Momentum]:
-    """One functional gradient step (paper, equation 8 and Table 1's "Adam for RKHS").
+    """The functional gradient step with a fixed size, h <- h + v (paper, equation 8 and Table 1's "Adam for RKHS").
 
-    The gradient is g = sum_k alpha_k K(c_k, .). With the moving average `v <- decay v + (1 - decay) g` the
-    function becomes h + v; centres, weights and average are kept in coefficients. A full expansion gives up its
-    oldest centres, and what they contributed to h and v.
-
-    Args:
-        features: the new centres c_k.
-        coefficients: alpha_k, step size included.
+    Arguments as in `append`; the coefficients include the step size.
     """
-    rows = (momentum.added + jnp.arange(features.shape[0])) % expansion.capacity
-    centres = expansion.centres.at[rows].set(features)
-    velocity = decay * momentum.velocity.at[rows].set(0.0)
-    velocity = velocity.at[rows].add((1.0 - decay) * coefficients)
-    weights = expansion.weights.at[rows].set(0.0) + velocity
-    return Expansion(centres, weights), Momentum(velocity, momentum.added + features.shape[0])
+    expansion, momentum = append(expansion, momentum, features, coefficients, decay=decay)
+    return Expansion(expansion.centres, expansion.weights + momentum.velocity), momentum

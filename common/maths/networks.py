@@ -13,8 +13,12 @@ from flax import nnx
 from jax import Array
 from jaxtyping import Float
 
+from common.learners import LEARNERS, Learner
+
 Parameters = dict
 """A nested dict of arrays: what `nnx.to_pure_dict` makes of a module."""
+
+_HEAD_SCALE = 0.01  # the policy starts near mean 0 (PureJaxRL)
 
 
 def _dense(inputs: int, outputs: int, scale: float, rngs: nnx.Rngs) -> nnx.Linear:
@@ -28,7 +32,7 @@ def _dense(inputs: int, outputs: int, scale: float, rngs: nnx.Rngs) -> nnx.Linea
 
 
 class Tower(nnx.Module):
-    """Dense layers with tanh, orthogonally initialised: R^inputs -> R^widths[-1]."""
+    """Dense layers with tanh, orthogonally initialised: R^inputs -> R^widths[-1]; the identity without widths."""
 
     def __init__(self, inputs: int, widths: Sequence[int], rngs: nnx.Rngs) -> None:
         sizes = [inputs, *widths]
@@ -40,12 +44,43 @@ class Tower(nnx.Module):
         return x
 
 
-class PolicyNetwork(nnx.Module):
-    """What of the policy is trained by gradients: psi, mu and log_std."""
+class NoResidual(nnx.Module):
+    """mu = 0: for the learners whose mean is h alone."""
 
-    def __init__(self, observation_size: int, action_size: int, hidden: Sequence[int], rngs: nnx.Rngs) -> None:
-        self.features = Tower(observation_size, hidden, rngs)
-        self.residual = _dense(hidden[-1], action_size, 0.01, rngs)
+    def __init__(self, outputs: int) -> None:
+        self.outputs = outputs
+
+    def __call__(self, z: Float[Array, "B d"]) -> Float[Array, "B outputs"]:
+        return jnp.zeros((z.shape[0], self.outputs), z.dtype)
+
+
+class TwoHeads(nnx.Module):
+    """The usual last layer plus a second fully connected one beside it (paper, section D.3)."""
+
+    def __init__(self, inputs: int, outputs: int, rngs: nnx.Rngs) -> None:
+        self.head = _dense(inputs, outputs, _HEAD_SCALE, rngs)
+        self.second = _dense(inputs, outputs, _HEAD_SCALE, rngs)
+
+    def __call__(self, z: Float[Array, "B d"]) -> Float[Array, "B outputs"]:
+        return self.head(z) + self.second(z)
+
+
+class PolicyNetwork(nnx.Module):
+    """What of the policy is trained by gradients: psi, mu and log_std, as far as the learner has them."""
+
+    def __init__(
+        self, learner: Learner, observation_size: int, action_size: int, hidden: Sequence[int], rngs: nnx.Rngs
+    ) -> None:
+        widths = hidden if learner.features else ()
+        self.features = Tower(observation_size, widths, rngs)
+        inputs = [observation_size, *widths][-1]
+        self.residual: nnx.Linear | NoResidual | TwoHeads
+        if learner.residual == "head":
+            self.residual = _dense(inputs, action_size, _HEAD_SCALE, rngs)
+        elif learner.residual == "two heads":
+            self.residual = TwoHeads(inputs, action_size, rngs)
+        else:
+            self.residual = NoResidual(action_size)
         self.log_std = nnx.Param(jnp.zeros((action_size,), jnp.float32))
 
 
@@ -62,13 +97,19 @@ class Critic(nnx.Module):
 
 @dataclass(frozen=True)
 class Networks:
-    """The static halves of policy and critic; parameters come and go as pure dicts."""
+    """The static halves of policy and critic; parameters come and go as pure dicts.
+
+    feature_size: size d of what the kernel sees.
+    feature_scale: what features are multiplied by for the kernel: d^-1/2, so that distances are of order one and a
+        bandwidth means the same at every size; 1 where the kernel sees observations.
+    """
 
     policy: nnx.GraphDef
     critic: nnx.GraphDef
     observation_size: int
     action_size: int
     feature_size: int
+    feature_scale: float
 
     def bind_policy(self, parameters: Parameters) -> PolicyNetwork:
         return nnx.merge(self.policy, parameters)
@@ -78,7 +119,11 @@ class Networks:
 
 
 def make_networks(
-    observation_size: int, action_size: int, hidden: Sequence[int], seed: int
+    observation_size: int,
+    action_size: int,
+    hidden: Sequence[int],
+    seed: int,
+    learner: Learner = LEARNERS["reskpn"],
 ) -> tuple[Networks, Parameters]:
     """The networks and their initial parameters `{"policy": ..., "critic": ...}`.
 
@@ -86,10 +131,12 @@ def make_networks(
     """
     policy_key, critic_key = jax.random.split(jax.random.key(seed))
     policy, policy_parameters = nnx.split(
-        PolicyNetwork(observation_size, action_size, hidden, nnx.Rngs(params=policy_key))
+        PolicyNetwork(learner, observation_size, action_size, hidden, nnx.Rngs(params=policy_key))
     )
     critic, critic_parameters = nnx.split(Critic(observation_size, hidden, nnx.Rngs(params=critic_key)))
-    networks = Networks(policy, critic, observation_size, action_size, hidden[-1])
+    feature_size = hidden[-1] if learner.features else observation_size
+    scale = feature_size**-0.5 if learner.features else 1.0
+    networks = Networks(policy, critic, observation_size, action_size, feature_size, scale)
     return networks, {
         "policy": nnx.to_pure_dict(policy_parameters),
         "critic": nnx.to_pure_dict(critic_parameters),

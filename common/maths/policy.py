@@ -6,17 +6,16 @@ The learner's update and the actors call the same functions, so both see the sam
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from common.maths import expansion as expansions
 from common.maths import running
-from common.maths.expansion import Expansion
-from common.maths.kernels import Kernel
 from common.maths.networks import Networks, Parameters
+from common.maths.rkhs.representation import Function, Representation
 from common.maths.running import Moments
 
 
@@ -26,7 +25,7 @@ class Policy:
     """All that acting needs: a snapshot is one of these."""
 
     parameters: Parameters
-    expansion: Expansion
+    expansion: Function
     observations: Moments
 
 
@@ -35,7 +34,7 @@ class Policy:
 class Mean:
     """The policy mean m = h + mu in its parts, and the features it is made from.
 
-    features: z / sqrt(d), the input of the kernel.
+    features: the input of the kernel, z / sqrt(d), or observations for a learner without features.
     """
 
     features: Float[Array, "B d"]
@@ -50,18 +49,18 @@ class Mean:
 
 def evaluate(
     networks: Networks,
-    kernel: Kernel,
+    representation: Representation[Any, Any],
     parameters: Parameters,
-    expansion: Expansion,
+    expansion: Function,
     observation: Float[Array, "B O"],
 ) -> Mean:
     """The mean at standardised observations. With capacity 0 there is no h, and nothing is computed for it."""
     network = networks.bind_policy(parameters)
     z = network.features(observation)
-    features = z * (networks.feature_size**-0.5)
+    features = z * networks.feature_scale
     residual = network.residual(z)
     if expansion.capacity:
-        rkhs = expansions.evaluate(expansion, kernel, features)
+        rkhs = representation.evaluate(expansion, features)
     else:
         rkhs = jnp.zeros_like(residual)
     return Mean(features, rkhs, residual, network.log_std[...])
@@ -69,7 +68,7 @@ def evaluate(
 
 def act(
     networks: Networks,
-    kernel: Kernel,
+    representation: Representation[Any, Any],
     policy: Policy,
     observation: Float[Array, "B O"],
     *,
@@ -78,4 +77,4 @@ def act(
     """The mean at raw observations, whitened by the snapshot's moments where the run normalises them."""
     if normalise:
         observation = running.standardise(policy.observations, observation)
-    return evaluate(networks, kernel, policy.parameters, policy.expansion, observation)
+    return evaluate(networks, representation, policy.parameters, policy.expansion, observation)

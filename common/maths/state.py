@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,11 +11,11 @@ import optax
 from jax import Array
 from jaxtyping import Bool, Float, Int, UInt32
 
-from common.maths import expansion as expansions
 from common.maths import running
-from common.maths.expansion import Expansion, Momentum
+from common.maths.expansion import Momentum
 from common.maths.networks import Networks, Parameters
 from common.maths.policy import Policy
+from common.maths.rkhs.representation import Function, Representation
 from common.maths.running import Moments
 from common.settings import AlgorithmSettings
 
@@ -30,7 +31,7 @@ class LearnerState:
 
     parameters: Parameters
     optimiser: optax.OptState
-    expansion: Expansion
+    expansion: Function
     momentum: Momentum
     observations: Moments
     returns: Moments
@@ -77,13 +78,13 @@ def initial_state(
     parameters: Parameters,
     algorithm: AlgorithmSettings,
     *,
-    capacity: int,
+    representation: Representation[Any, Any],
     slots: int,
     envs_per_slot: int,
     seed: int,
 ) -> LearnerState:
     """The state before the first update: h = 0, nothing observed."""
-    expansion, momentum = expansions.empty(capacity, networks.feature_size, networks.action_size)
+    expansion, momentum = representation.empty(networks.feature_size, networks.action_size)
     return LearnerState(
         parameters=parameters,
         optimiser=make_optimiser(algorithm).init(parameters),

@@ -7,6 +7,7 @@ then the running moments. Networks see observations standardised by the moments 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,35 +16,15 @@ from jax import Array
 from jaxtyping import Float, Int, Key
 
 from common.learners import LEARNERS, Learner
-from common.maths import expansion as expansions
 from common.maths import gaussians, objectives, policy, returns, running
-from common.maths.expansion import Expansion, Momentum
-from common.maths.kernels import Kernel, make_kernel
+from common.maths.diagnostics import Diagnostics, finiteness
+from common.maths.functional import FunctionalStep, Metrics
 from common.maths.networks import Networks, Parameters
+from common.maths.rkhs.make import make_representation
+from common.maths.rkhs.representation import Function, Representation
+from common.maths.samples import Samples, flatten
 from common.maths.state import Batch, LearnerState, make_optimiser
-from common.settings import AlgorithmSettings, RkhsSettings, RunSettings
-
-Metrics = dict[str, Array]
-
-PROBE = 1024
-"""Transitions on which the metrics that cost a forward pass are taken."""
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Samples:
-    """The transitions of a batch as the networks train on them, in any order."""
-
-    observation: Float[Array, "*batch O"]
-    action: Float[Array, "*batch A"]
-    log_prob: Float[Array, "*batch"]
-    value: Float[Array, "*batch"]
-    advantage: Float[Array, "*batch"]
-
-    @property
-    def target(self) -> Float[Array, "*batch"]:
-        """The lambda-return A + V, which the critic learns."""
-        return self.advantage + self.value
+from common.settings import AlgorithmSettings, RunSettings
 
 
 @dataclass(frozen=True)
@@ -52,10 +33,14 @@ class Update:
 
     networks: Networks
     learner: Learner
-    kernel: Kernel
     algorithm: AlgorithmSettings
-    rkhs: RkhsSettings
     optimiser: optax.GradientTransformation
+    step: FunctionalStep
+    diagnostics: Diagnostics
+
+    @property
+    def representation(self) -> Representation[Any, Any]:
+        return self.step.representation
 
     def __call__(self, state: LearnerState, batch: Batch) -> tuple[LearnerState, Metrics]:
         """The next state, and metrics as float32 scalars.
@@ -65,12 +50,14 @@ class Update:
         """
         shuffle_key, draw_key = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(state.key), state.version))
         return_moments, discounted, reward = self._scaled_rewards(state, batch)
-        samples = self._samples(state, batch, reward)
+        samples = jax.tree.map(flatten, self._samples(state, batch, reward))
         parameters, optimiser, losses = self._train_networks(state, samples, shuffle_key)
-        expansion, momentum, rkhs_metrics = self._step_expansion(state, parameters["policy"], samples, draw_key)
+        expansion, momentum, rkhs_metrics = state.expansion, state.momentum, Metrics()
+        if expansion.capacity:
+            expansion, momentum, rkhs_metrics = self.step(expansion, momentum, parameters["policy"], samples, draw_key)
         observations = state.observations
         if self.algorithm.normalise_observations:
-            observations = running.merge(observations, _flat(batch.observation))
+            observations = running.merge(observations, flatten(batch.observation))
         new = LearnerState(
             parameters=parameters,
             optimiser=optimiser,
@@ -82,7 +69,7 @@ class Update:
             key=state.key,
             version=state.version + 1,
         )
-        metrics = losses | rkhs_metrics | self._probe(state, new, samples) | _finiteness(new)
+        metrics = losses | rkhs_metrics | self.diagnostics(state, new, samples) | finiteness(new)
         return new, {name: jnp.asarray(value, jnp.float32) for name, value in metrics.items()}
 
     def _scaled_rewards(self, state: LearnerState, batch: Batch) -> tuple[running.Moments, Array, Array]:
@@ -139,15 +126,13 @@ class Update:
         self, state: LearnerState, samples: Samples, key: Key[Array, ""]
     ) -> tuple[Parameters, optax.OptState, Metrics]:
         """Epochs of minibatches; h is constant here, gradients flow through it into the features."""
-        flat = jax.tree.map(_flat, samples)
-        count, parts = flat.log_prob.shape[0], self.algorithm.minibatches
+        count, parts = samples.log_prob.shape[0], self.algorithm.minibatches
 
         def minibatch(
             carry: tuple[Parameters, optax.OptState], rows: Int[Array, "b"]
         ) -> tuple[tuple[Parameters, optax.OptState], Metrics]:
             parameters, optimiser = carry
-            chosen = jax.tree.map(lambda x: x[rows], flat)
-            gradient, metrics = jax.grad(self._loss, has_aux=True)(parameters, state.expansion, chosen)
+            gradient, metrics = jax.grad(self._loss, has_aux=True)(parameters, state.expansion, samples[rows])
             updates, optimiser = self.optimiser.update(gradient, optimiser, parameters)
             metrics["gradient_norm"] = optax.tree.norm(gradient)
             return (optax.apply_updates(parameters, updates), optimiser), metrics
@@ -158,17 +143,18 @@ class Update:
         (parameters, optimiser), metrics = jax.lax.scan(minibatch, (state.parameters, state.optimiser), rows)
         return parameters, optimiser, {f"train/{name}": jnp.mean(values) for name, values in metrics.items()}
 
-    def _loss(self, parameters: Parameters, expansion: Expansion, samples: Samples) -> tuple[Float[Array, ""], Metrics]:
+    def _loss(self, parameters: Parameters, function: Function, samples: Samples) -> tuple[Float[Array, ""], Metrics]:
         """The scalar that is descended on one minibatch."""
         settings = self.algorithm
-        mean = policy.evaluate(self.networks, self.kernel, parameters["policy"], expansion, samples.observation)
-        log_ratio = gaussians.log_prob(mean.total, mean.log_std, samples.action) - samples.log_prob
+        mean = policy.evaluate(self.networks, self.representation, parameters["policy"], function, samples.observation)
+        total = jax.lax.stop_gradient(mean.total) if self.learner.objective == "none" else mean.total
+        log_ratio = gaussians.log_prob(total, mean.log_std, samples.action) - samples.log_prob
         ratio = jnp.exp(log_ratio)
         advantage = objectives.normalised(samples.advantage)
-        if self.learner.objective == "ppo":
-            gain = objectives.clipped(ratio, advantage, clip=settings.clip)
-        else:
+        if self.learner.objective == "dpo":
             gain = objectives.drifted(log_ratio, advantage, alpha=settings.dpo_alpha, beta=settings.dpo_beta)
+        else:
+            gain = objectives.clipped(ratio, advantage, clip=settings.clip)
         value_loss = objectives.clipped_value_loss(
             self.networks.value(parameters["critic"], samples.observation),
             samples.value,
@@ -186,98 +172,16 @@ class Update:
             "clip_fraction": jnp.mean(jnp.abs(ratio - 1.0) > settings.clip, dtype=jnp.float32),
         }
 
-    def _step_expansion(
-        self, state: LearnerState, parameters: Parameters, samples: Samples, key: Key[Array, ""]
-    ) -> tuple[Expansion, Momentum, Metrics]:
-        """alpha_k = eta / n * rho_k * Sigma^-1 (a_k - m(o_k)) * (A_k - D_k) at n transitions drawn uniformly.
-
-        Equation 8 with the ratio, its clip and the drift of section B.1; A is normalised over the batch.
-        """
-        expansion, momentum = state.expansion, state.momentum
-        if not expansion.capacity:
-            return expansion, momentum, {}
-        settings = self.rkhs
-        flat = jax.tree.map(_flat, samples)
-        rows = jax.random.choice(key, flat.log_prob.shape[0], (settings.samples,), replace=False)
-        advantage = objectives.normalised(flat.advantage)[rows]
-        observation, action, log_prob = flat.observation[rows], flat.action[rows], flat.log_prob[rows]
-        mean = policy.evaluate(self.networks, self.kernel, parameters, expansion, observation)
-        log_ratio = gaussians.log_prob(mean.total, mean.log_std, action) - log_prob
-        ratio = jnp.exp(log_ratio)
-        held = jnp.minimum(ratio, jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip))
-        gain = advantage - objectives.drift(log_ratio, advantage, alpha=settings.drift_alpha, beta=settings.drift_beta)
-        score = gaussians.score(mean.total, mean.log_std, action)
-        alpha = (settings.eta / settings.samples) * (held * gain)[:, None] * score
-        expansion, momentum = expansions.step(expansion, momentum, mean.features, alpha, decay=settings.momentum)
-        return (
-            expansion,
-            momentum,
-            {
-                "rkhs/centres": expansions.size(expansion, momentum),
-                "rkhs/alpha": jnp.sqrt(jnp.sum(jnp.square(alpha))),
-            },
-        )
-
-    def _probe(self, old: LearnerState, new: LearnerState, samples: Samples) -> Metrics:
-        """What the update did to the policy, on an evenly spread part of the batch."""
-        flat = jax.tree.map(_flat, samples)
-        stride = max(1, flat.log_prob.shape[0] // PROBE)
-        observation = flat.observation[::stride]
-        parameters = new.parameters["policy"]
-
-        def at(expansion: Expansion) -> policy.Mean:
-            return policy.evaluate(self.networks, self.kernel, parameters, expansion, observation)
-
-        after = at(new.expansion)
-        unexplained = jnp.var(flat.target - flat.value) / (jnp.var(flat.target) + 1e-8)
-        metrics = {
-            "train/explained_variance": 1.0 - unexplained,
-            "policy/std": jnp.mean(jnp.exp(after.log_std)),
-            "policy/mean_rms": _rms(after.total),
-        }
-        if new.expansion.capacity:
-            before = at(old.expansion)
-            metrics |= {
-                "rkhs/h_rms": _rms(after.rkhs),
-                "rkhs/residual_rms": _rms(after.residual),
-                "rkhs/step_kl": jnp.mean(gaussians.kl_of_means(before.total, after.total, after.log_std)),
-            }
-        return metrics
-
 
 def make_update(settings: RunSettings, networks: Networks) -> Update:
     """The update of a run."""
+    learner = LEARNERS[settings.learner]
+    step = FunctionalStep(networks, make_representation(settings), settings.rkhs, learner.target, settings.samples)
     return Update(
         networks=networks,
-        learner=LEARNERS[settings.learner],
-        kernel=make_kernel(settings.rkhs.kernel, settings.rkhs.bandwidth),
+        learner=learner,
         algorithm=settings.algorithm,
-        rkhs=settings.rkhs,
         optimiser=make_optimiser(settings.algorithm),
+        step=step,
+        diagnostics=Diagnostics(step),
     )
-
-
-def _flat(x: Array) -> Array:
-    """[T, E, ...] as [T * E, ...]."""
-    return x.reshape((-1, *x.shape[2:]))
-
-
-def _rms(x: Array) -> Array:
-    return jnp.sqrt(jnp.mean(jnp.square(x)))
-
-
-def _finiteness(state: LearnerState) -> Metrics:
-    """For each part of the state, whether all of it is finite."""
-    parts = {
-        "parameters": state.parameters,
-        "optimiser": state.optimiser,
-        "expansion": (state.expansion, state.momentum),
-        "observation moments": state.observations,
-        "return moments": (state.returns, state.discounted),
-    }
-    return {
-        f"finite/{name}": jnp.all(
-            jnp.stack([jnp.all(jnp.isfinite(leaf.astype(jnp.float32))) for leaf in jax.tree.leaves(part)])
-        )
-        for name, part in parts.items()
-    }

@@ -16,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from common.learners import LEARNERS
 from common.maths import gaussians
-from common.maths.kernels import make_kernel
 from common.maths.networks import make_networks
 from common.maths.policy import Policy, act
+from common.maths.rkhs.make import make_representation
 from common.maths.state import initial_state
 from common.maths.trees import from_arrays
 from common.physics.environments import BatchedEnvironment, EnvState, make_environment
@@ -67,13 +68,18 @@ class PolicyReader:
     def __init__(self, settings: RunSettings) -> None:
         task = TASKS[settings.task]
         self.networks, parameters = make_networks(
-            task.observation_size, task.action_size, settings.algorithm.hidden, settings.seed
+            task.observation_size,
+            task.action_size,
+            settings.algorithm.hidden,
+            settings.seed,
+            LEARNERS[settings.learner],
         )
+        representation = make_representation(settings)
         self._template = initial_state(
             self.networks,
             parameters,
             settings.algorithm,
-            capacity=settings.capacity,
+            representation=representation,
             slots=1,
             envs_per_slot=1,
             seed=settings.seed,
@@ -81,7 +87,7 @@ class PolicyReader:
         self._act = partial(
             act,
             self.networks,
-            make_kernel(settings.rkhs.kernel, settings.rkhs.bandwidth),
+            representation,
             normalise=settings.algorithm.normalise_observations,
         )
 

@@ -12,8 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from common.errors import NumericsError
+from common.learners import LEARNERS
 from common.maths import trees
+from common.maths.diagnostics import MEASURED
 from common.maths.networks import make_networks
+from common.maths.rkhs.make import make_representation
 from common.maths.state import Batch, LearnerState, initial_state
 from common.maths.update import Metrics, make_update
 from common.settings import RunSettings
@@ -30,14 +33,18 @@ class Trainer:
     def __init__(self, settings: RunSettings) -> None:
         task = TASKS[settings.task]
         networks, parameters = make_networks(
-            task.observation_size, task.action_size, settings.algorithm.hidden, settings.seed
+            task.observation_size,
+            task.action_size,
+            settings.algorithm.hidden,
+            settings.seed,
+            LEARNERS[settings.learner],
         )
         self._settings = settings
         self._state = initial_state(
             networks,
             parameters,
             settings.algorithm,
-            capacity=settings.capacity,
+            representation=make_representation(settings),
             slots=settings.actors,
             envs_per_slot=settings.envs_per_actor,
             seed=settings.seed,
@@ -71,7 +78,7 @@ class Trainer:
                 "The log holds the rollouts it was made from; a smaller algorithm.learning_rate or rkhs.eta may help"
             )
         self._adopt(state)
-        return {name: value for name, value in values.items() if not name.startswith(FINITE)}
+        return _meant(values)
 
     def digest(self) -> str:
         """Hex digest of the whole state."""
@@ -92,6 +99,16 @@ class Trainer:
     def _adopt(self, state: LearnerState) -> None:
         self._state = state
         self._version = int(state.version)
+
+
+def _meant(values: dict[str, float]) -> dict[str, float]:
+    """The metrics that say something: without flags, and without the laboratory's where it did not measure."""
+    measured = bool(values.get(MEASURED, 0.0))
+    return {
+        name: value
+        for name, value in values.items()
+        if not name.startswith(FINITE) and name != MEASURED and (measured or not name.startswith("variance/"))
+    }
 
 
 def _empty_batch(settings: RunSettings) -> Batch:

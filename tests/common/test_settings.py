@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from common.errors import SettingsError
-from common.settings import PAPER_CENTRES, RunSettings
+from common.settings import RunSettings
+from common.settings_rkhs import PAPER_CENTRES
 from common.settings_sources import parse_json
 
 
@@ -144,7 +145,10 @@ def test_numbers_that_are_not_possible(values: dict[str, Any], said: str) -> Non
     ("values", "said"),
     [
         ({"task": "hoper"}, "'hoper' is not a task; did you mean 'hopper'? allowed: inverted_pendulum, hopper, "),
-        ({"learner": "reskp"}, "'reskp' is not a learner; did you mean 'reskpn'? allowed: reskpn, ppo, dpo"),
+        (
+            {"learner": "reskp"},
+            "'reskp' is not a learner; did you mean 'reskpn'? allowed: origin-kernel, kpn, advkpn, reskpn, ",
+        ),
         (
             {"physics": "mjxx"},
             "'mjxx' is not a physics engine; did you mean 'mjx'? allowed: auto, mjx, native",
@@ -205,11 +209,12 @@ def test_unknown_settings() -> None:
         ),
         (
             {"rkhs": {"samples": 20_481}},
-            "rkhs.samples (20481) must be at most the batch of 20480 transitions",
+            "rkhs.samples (20481) must be at most the batch of 20480 transitions; 'batch' takes all of them",
         ),
         (
             {"rkhs": {"samples": 5, "capacity": 4}},
-            "rkhs.capacity (4) must hold at least one step's rkhs.samples (5)",
+            "rkhs.capacity (4) must hold at least one step's rkhs.samples (5): each is a new centre; "
+            "rkhs.representation nystrom or rff takes any number of samples at a fixed size",
         ),
     ],
 )

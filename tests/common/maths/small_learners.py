@@ -10,8 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from common.learners import LEARNERS
 from common.maths import trees
 from common.maths.networks import Networks, make_networks
+from common.maths.rkhs.make import make_representation
 from common.maths.state import Batch, LearnerState, initial_state
 from common.maths.update import Metrics, Update, make_update
 from common.settings import AlgorithmSettings, RkhsSettings, RunSettings
@@ -41,12 +43,14 @@ def small_learner(
     settings: RunSettings, observation_size: int, action_size: int, capacity: int | None = None
 ) -> SmallLearner:
     """The learner of the settings, for a task of those sizes; one compilation a session for each."""
-    networks, parameters = make_networks(observation_size, action_size, settings.algorithm.hidden, settings.seed)
+    networks, parameters = make_networks(
+        observation_size, action_size, settings.algorithm.hidden, settings.seed, LEARNERS[settings.learner]
+    )
     start = initial_state(
         networks,
         parameters,
         settings.algorithm,
-        capacity=settings.capacity if capacity is None else capacity,
+        representation=make_representation(settings, capacity),
         slots=settings.actors,
         envs_per_slot=settings.envs_per_actor,
         seed=settings.seed,

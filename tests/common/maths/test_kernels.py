@@ -11,7 +11,7 @@ from jaxtyping import TypeCheckError
 
 from common.maths import kernels
 from common.maths.kernels import gaussian, make_kernel
-from common.settings import KERNELS
+from common.settings_rkhs import KERNELS
 
 gram = jax.jit(kernels.gram, static_argnums=0)
 HALF = gaussian(0.5)

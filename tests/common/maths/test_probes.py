@@ -56,7 +56,7 @@ def actor(name: str) -> Callable[[Policy, Array, Array], tuple[Array, Array]]:
 
     @jax.jit
     def act(snapshot: Policy, observation: Array, noise: Array) -> tuple[Array, Array]:
-        mean = policy.act(update.networks, update.kernel, snapshot, observation, normalise=False)
+        mean = policy.act(update.networks, update.representation, snapshot, observation, normalise=False)
         action = mean.total + jnp.exp(mean.log_std) * noise
         return action, gaussians.log_prob(mean.total, mean.log_std, action)
 

@@ -8,7 +8,9 @@ import pytest
 from small_learners import same_bits
 
 from common.maths import trees
+from common.maths.kernels import gaussian
 from common.maths.networks import make_networks
+from common.maths.rkhs.exact import Exact
 from common.maths.state import LearnerState, initial_state, make_optimiser
 from common.settings import AlgorithmSettings
 
@@ -17,7 +19,15 @@ ALGORITHM = AlgorithmSettings(hidden=(4,), learning_rate=0.1, adam_eps=1e-5, max
 
 def start(seed: int = 0, capacity: int = 6) -> LearnerState:
     networks, parameters = make_networks(3, 2, ALGORITHM.hidden, seed=0)
-    return initial_state(networks, parameters, ALGORITHM, capacity=capacity, slots=5, envs_per_slot=7, seed=seed)
+    return initial_state(
+        networks,
+        parameters,
+        ALGORITHM,
+        representation=Exact(gaussian(0.5), capacity),
+        slots=5,
+        envs_per_slot=7,
+        seed=seed,
+    )
 
 
 def test_initial_state():

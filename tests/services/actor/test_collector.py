@@ -13,8 +13,8 @@ import pytest
 from samples import settings
 
 from common.errors import CodecError
-from common.maths.kernels import make_kernel
 from common.maths.policy import Mean, Policy, act
+from common.maths.rkhs.make import make_representation
 from common.maths.trees import to_arrays
 from common.physics.environments import BatchedEnvironment, make_environment
 from common.wire.messages import Rollout, RolloutShape
@@ -147,8 +147,8 @@ def test_another_place_makes_other_rollouts(
 
 def mean_of(reader: PolicyReader, policy: Policy, obs: np.ndarray) -> Mean:
     """The policy mean in its parts, by the mathematics' own formula."""
-    kernel = make_kernel(SETTINGS.rkhs.kernel, SETTINGS.rkhs.bandwidth)
-    return jax.jit(partial(act, reader.networks, kernel, normalise=True))(policy, jax.numpy.asarray(obs))
+    representation = make_representation(SETTINGS)
+    return jax.jit(partial(act, reader.networks, representation, normalise=True))(policy, jax.numpy.asarray(obs))
 
 
 def test_actions_are_drawn_from_the_policy(

@@ -1,0 +1,123 @@
+"""Online clustering of centres (Wang and Principe 2021): a transition near a centre adds to that centre's weight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Bool, Float, Int
+
+from common.maths.expansion import Expansion, Momentum
+from common.maths.rkhs.representation import OfKernels, Spread
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Dated(Momentum):
+    """`born`: the update at which each row's centre was added; `updates`: updates since the start."""
+
+    born: Int[Array, "M"]
+    updates: Int[Array, ""]
+
+
+@final
+@dataclass(frozen=True)
+class Cluster(OfKernels[Dated]):
+    """A transition closer than `radius` to a centre joins the nearest one; the others are taken in order.
+
+    Each of those becomes a centre, and what is closer to it than `radius` and not yet taken joins it. With radius 0
+    nothing joins, and this is `exact`. For a kernel with Lipschitz constant L a step errs by at most
+    radius L sum_k |alpha_k| anywhere. Where there are more clusters than room in one step, the rest joins the nearest.
+    A full expansion gives up its oldest centres.
+    """
+
+    radius: float
+
+    def empty(self, feature_size: int, action_size: int) -> tuple[Expansion, Dated]:
+        weights = jnp.zeros((self.capacity, action_size), jnp.float32)
+        centres = jnp.zeros((self.capacity, feature_size), jnp.float32)
+        zero = jnp.zeros((), jnp.int32)
+        return Expansion(centres, weights), Dated(weights, zero, jnp.zeros((self.capacity,), jnp.int32), zero)
+
+    def average(
+        self,
+        function: Expansion,
+        momentum: Dated,
+        features: Float[Array, "n d"],
+        coefficients: Float[Array, "n A"],
+        spread: Spread,
+        *,
+        decay: float,
+    ) -> tuple[Expansion, Dated]:
+        capacity, room = function.capacity, min(features.shape[0], function.capacity)
+        used = jnp.arange(capacity, dtype=jnp.int32) < momentum.added
+        distance = jnp.where(used[None, :], _distances_squared(features, function.centres), jnp.inf)
+        nearest = jnp.argmin(distance, axis=1).astype(jnp.int32)
+        joined = jnp.min(distance, axis=1) < self.radius**2
+        leaders, owner = self._lead(features, joined, room)
+        count = jnp.sum(leaders < features.shape[0], dtype=jnp.int32)
+        # New centres take the rows after the newest one; those past `count` are dropped as out of bounds.
+        order = jnp.arange(room, dtype=jnp.int32)
+        rows = jnp.where(order < count, (momentum.added + order) % capacity, capacity)
+        kept = jnp.ones((capacity, 1), momentum.velocity.dtype).at[rows].set(0.0, mode="drop")
+        # What joined a centre that gives way now goes with it.
+        old = jnp.where(kept[nearest, 0] > 0.0, nearest, capacity)
+        target = jnp.where(owner < room, rows[jnp.minimum(owner, room - 1)], old)
+        velocity = (decay * kept * momentum.velocity).at[target].add((1.0 - decay) * coefficients, mode="drop")
+        centres = function.centres.at[rows].set(features[jnp.minimum(leaders, features.shape[0] - 1)], mode="drop")
+        born = momentum.born.at[rows].set(momentum.updates, mode="drop")
+        added = momentum.added + count
+        return Expansion(centres, kept * function.weights), Dated(velocity, added, born, momentum.updates + 1)
+
+    def _lead(
+        self, features: Float[Array, "n d"], joined: Bool[Array, "n"], room: int
+    ) -> tuple[Int[Array, "room"], Int[Array, "n"]]:
+        """The transitions that become centres, in order, and for every transition the number of its new centre.
+
+        Numbers past the last new centre are n among the first, and `room` among the second: there the transition joins
+        an old centre. One round for each new centre, of n distances.
+        """
+        count = features.shape[0]
+
+        def go_on(carry: tuple[Array, Array, Array]) -> Array:
+            made, _, owner = carry
+            return (made < room) & jnp.any(owner < 0)
+
+        def lead(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            made, leaders, owner = carry
+            leader = jnp.argmax(owner < 0).astype(jnp.int32)
+            distance = jnp.sum(jnp.square(features - features[leader]), axis=1)
+            takes = (owner < 0) & (distance < self.radius**2)
+            owner = jnp.where(takes, made, owner).at[leader].set(made)
+            return made + 1, leaders.at[made].set(leader), owner
+
+        start = (
+            jnp.zeros((), jnp.int32),
+            jnp.full((room,), count, jnp.int32),
+            jnp.where(joined, room, -1).astype(jnp.int32),
+        )
+        _, leaders, owner = jax.lax.while_loop(go_on, lead, start)
+        if count > room:  # else there was room for all
+            nearest = jnp.argmin(_distances_squared(features, features[jnp.minimum(leaders, count - 1)]), axis=1)
+            owner = jnp.where(owner < 0, nearest.astype(jnp.int32), owner)
+        return leaders, owner
+
+    def size(self, function: Expansion, momentum: Dated) -> Int[Array, ""]:
+        return jnp.minimum(momentum.added, function.capacity)
+
+    def age(self, momentum: Dated, samples: int) -> Float[Array, ""]:
+        return mean_age(momentum, jnp.arange(momentum.born.shape[0], dtype=jnp.int32) < momentum.added)
+
+
+def mean_age(momentum: Dated, used: Bool[Array, "M"]) -> Float[Array, ""]:
+    """Mean number of updates since the used rows were added, 0 for those of the last update."""
+    total = jnp.sum(jnp.where(used, momentum.updates - 1 - momentum.born, 0))
+    return total / jnp.maximum(jnp.sum(used), 1)
+
+
+def _distances_squared(x: Float[Array, "n d"], y: Float[Array, "M d"]) -> Float[Array, "n M"]:
+    products = x @ y.T
+    return jnp.maximum(jnp.sum(x * x, axis=1)[:, None] + jnp.sum(y * y, axis=1)[None, :] - 2.0 * products, 0.0)

@@ -1,0 +1,47 @@
+"""Every transition of a gradient becomes a centre, as in the paper; within a budget, the oldest give way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float, Int
+
+from common.maths import expansion as expansions
+from common.maths.expansion import Expansion, Momentum
+from common.maths.rkhs.representation import OfKernels, Spread
+
+
+@final
+@dataclass(frozen=True)
+class Exact(OfKernels[Momentum]):
+    """h as the paper has it. `capacity` is the budget; n must be within it.
+
+    The oldest centre goes, not the one with the smallest weight: features move on while psi is trained, and old
+    centres are where features no longer are (docs/decisions/0010-the-oldest-centre-gives-way.md).
+    """
+
+    def empty(self, feature_size: int, action_size: int) -> tuple[Expansion, Momentum]:
+        return expansions.empty(self.capacity, feature_size, action_size)
+
+    def average(
+        self,
+        function: Expansion,
+        momentum: Momentum,
+        features: Float[Array, "n d"],
+        coefficients: Float[Array, "n A"],
+        spread: Spread,
+        *,
+        decay: float,
+    ) -> tuple[Expansion, Momentum]:
+        return expansions.append(function, momentum, features, coefficients, decay=decay)
+
+    def size(self, function: Expansion, momentum: Momentum) -> Int[Array, ""]:
+        return expansions.size(function, momentum)
+
+    def age(self, momentum: Momentum, samples: int) -> Float[Array, ""]:
+        rows = jnp.arange(momentum.velocity.shape[0], dtype=jnp.int32)
+        used = rows < momentum.added  # taken in the order of age, newest first
+        return jnp.sum(jnp.where(used, rows // samples, 0)) / jnp.maximum(jnp.sum(used), 1)

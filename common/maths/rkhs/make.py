@@ -1,0 +1,38 @@
+"""The representation that a run's settings ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from common.maths.kernels import make_kernel
+from common.maths.rkhs.basis import Basis
+from common.maths.rkhs.clustering import Cluster
+from common.maths.rkhs.exact import Exact
+from common.maths.rkhs.fourier import Fourier
+from common.maths.rkhs.nystrom import Nystrom
+from common.maths.rkhs.pursuit import Pursuit
+from common.maths.rkhs.representation import Representation
+from common.settings import RunSettings
+
+
+def make_representation(settings: RunSettings, capacity: int | None = None) -> Representation[Any, Any]:
+    """By name (`common.settings_rkhs.REPRESENTATIONS`). A learner without h has an exact one without centres.
+
+    Args:
+        capacity: in place of the settings'.
+    """
+    rkhs, seed = settings.rkhs, settings.seed
+    size = settings.capacity if capacity is None else capacity
+    kernel = make_kernel(rkhs.kernel, rkhs.bandwidth, rkhs.slope, rkhs.offset)
+    if size == 0:
+        return Exact(kernel, 0)
+    makers: dict[str, Callable[[], Representation[Any, Any]]] = {
+        "exact": lambda: Exact(kernel, size),
+        "nystrom": lambda: Nystrom(kernel, size, rkhs.landmarks_every),
+        "rff": lambda: Fourier(kernel, size, rkhs.kernel, rkhs.bandwidth, seed),
+        "kmp": lambda: Pursuit(kernel, size, rkhs.error),
+        "cluster": lambda: Cluster(kernel, size, rkhs.radius),
+        "basis": lambda: Basis(kernel, size, rkhs.bandwidth, rkhs.directions, seed),
+    }
+    return makers[rkhs.representation]()

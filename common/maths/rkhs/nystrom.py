@@ -1,0 +1,99 @@
+"""Landmarks (Williams and Seeger 2001): the functional gradient projected onto the span of M kernels K(c_i, .)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float, Int
+
+from common.maths.expansion import Expansion, Momentum
+from common.maths.kernels import gram
+from common.maths.rkhs.representation import OfKernels, Spread
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Whitened(Momentum):
+    """`whitening` is K_LL^-1/2 of the landmarks; `added` counts updates, `chosen` is the one they were chosen at."""
+
+    whitening: Float[Array, "M M"]
+    chosen: Int[Array, ""]
+
+
+@final
+@dataclass(frozen=True)
+class Nystrom(OfKernels[Whitened]):
+    """h = phi(.) @ theta with phi(z) = K_LL^-1/2 K(L, z), kept as the weights K_LL^-1/2 theta of the landmarks.
+
+    So h costs what M centres cost, and a gradient over n transitions becomes weights by a product with K(L, Z): the
+    orthogonal projection of the functional gradient, K_LL^-1 K(L, Z) alpha.
+
+    Landmarks are the features of M transitions spread evenly over the first batch, and again over that of every
+    `landmarks_every`-th update (0: never); h and v are then projected onto the new ones.
+    """
+
+    landmarks_every: int
+
+    def empty(self, feature_size: int, action_size: int) -> tuple[Expansion, Whitened]:
+        m = self.capacity
+        weights = jnp.zeros((m, action_size), jnp.float32)
+        centres = jnp.zeros((m, feature_size), jnp.float32)
+        zero = jnp.zeros((), jnp.int32)
+        return Expansion(centres, weights), Whitened(weights, zero, jnp.zeros((m, m), jnp.float32), zero)
+
+    def average(
+        self,
+        function: Expansion,
+        momentum: Whitened,
+        features: Float[Array, "n d"],
+        coefficients: Float[Array, "n A"],
+        spread: Spread,
+        *,
+        decay: float,
+    ) -> tuple[Expansion, Whitened]:
+        due = momentum.added == 0
+        if self.landmarks_every:
+            due |= momentum.added % self.landmarks_every == 0
+        function, momentum = jax.lax.cond(
+            due, self._choose, lambda h, v, _: (h, v), function, momentum, spread(self.capacity)
+        )
+        gradient = _solve(momentum.whitening, gram(self.kernel, function.centres, features) @ coefficients)
+        velocity = decay * momentum.velocity + (1.0 - decay) * gradient
+        return function, Whitened(velocity, momentum.added + 1, momentum.whitening, momentum.chosen)
+
+    def size(self, function: Expansion, momentum: Whitened) -> Int[Array, ""]:
+        return jnp.where(momentum.added > 0, function.capacity, 0)
+
+    def age(self, momentum: Whitened, samples: int) -> Float[Array, ""]:
+        return jnp.maximum(momentum.added - 1 - momentum.chosen, 0).astype(jnp.float32)
+
+    def _choose(
+        self, function: Expansion, momentum: Whitened, landmarks: Float[Array, "M d"]
+    ) -> tuple[Expansion, Whitened]:
+        """New landmarks, and h and v projected onto them."""
+        whitening = inverse_root(gram(self.kernel, landmarks, landmarks))
+        across = gram(self.kernel, landmarks, function.centres)
+        weights = _solve(whitening, across @ function.weights)
+        velocity = _solve(whitening, across @ momentum.velocity)
+        return Expansion(landmarks, weights), Whitened(velocity, momentum.added, whitening, momentum.added)
+
+
+def inverse_root(matrix: Float[Array, "M M"]) -> Float[Array, "M M"]:
+    """The inverse square root of a positive semi-definite matrix.
+
+    Features lie close together, so Gram matrices have eigenvalues below rounding; the jitter, M times the
+    rounding error of the largest one, keeps those from being blown up.
+    """
+    values, vectors = jnp.linalg.eigh(matrix)
+    jitter = matrix.shape[0] * jnp.finfo(matrix.dtype).eps * jnp.max(jnp.abs(values))
+    scale = jax.lax.rsqrt(jnp.maximum(values, 0.0) + jnp.maximum(jitter, jnp.finfo(matrix.dtype).tiny))
+    return (vectors * scale) @ vectors.T
+
+
+def _solve(whitening: Float[Array, "M M"], right: Float[Array, "M A"]) -> Float[Array, "M A"]:
+    """K_LL^-1 times the right side."""
+    return whitening @ (whitening @ right)

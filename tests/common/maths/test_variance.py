@@ -1,0 +1,147 @@
+"""The variance laboratory against NumPy, Monte Carlo and the paper's theorems."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from functions import gaussian_sum, points
+from small_learners import random_batch, small_learner
+
+from common.maths.diagnostics import MEASURED
+from common.maths.kernels import gaussian, linear
+from common.maths.variance import (
+    gradient_variance,
+    linear_ratio,
+    score_variance,
+    three_gradients,
+    variance_ratio,
+)
+from common.settings import RunSettings
+
+Z, ALPHA = points(30, 4), points(30, 3, seed=1)
+
+
+def test_equation_10_is_the_sample_variance_of_a_linear_kernel() -> None:
+    """With K(x, y) = x y the gradient alpha K(z, .) is the matrix alpha z^T: NumPy's variance of those, summed."""
+    with jax.enable_x64(True):
+        gradients = np.einsum("ta,td->tad", ALPHA, Z).reshape(30, -1)
+        expected = np.var(gradients, axis=0).sum()
+        assert float(gradient_variance(linear(), jnp.asarray(Z), jnp.asarray(ALPHA))) == pytest.approx(
+            expected, rel=1e-12
+        )
+
+
+def test_equation_10_for_the_gaussian_kernel() -> None:
+    """The three terms of the equation, summed as they stand."""
+    k = gaussian_sum(Z, np.eye(30), Z, 2.0)
+    products = ALPHA @ ALPHA.T * k
+    terms = [products[t, t] - 2 * products[:, t].sum() / 30 + products.sum() / 30**2 for t in range(30)]
+    with jax.enable_x64(True):
+        found = gradient_variance(gaussian(2.0), jnp.asarray(Z), jnp.asarray(ALPHA))
+    assert float(found) == pytest.approx(np.mean(terms), rel=1e-12)
+
+
+def test_the_measured_ratio_to_the_linear_policy() -> None:
+    """One variance by the other, on the same transitions."""
+    with jax.enable_x64(True):
+        z, alpha = jnp.asarray(Z), jnp.asarray(ALPHA)
+        expected = gradient_variance(gaussian(2.0), z, alpha) / gradient_variance(linear(), z, alpha)
+        assert float(linear_ratio(gaussian(2.0), z, alpha)) == pytest.approx(float(expected), rel=1e-12)
+
+
+def test_lemma_3_1_is_what_monte_carlo_finds() -> None:
+    """Var of S^-1 (a - m)(c a + d): 2 c^2 + (c m + d)^2 / S at c = 2, m = 0.5, S = 0.49.
+
+    For d = -1 that is 8 + 0, for d = 1 it is 8 + 4 / 0.49.
+    """
+    c, m, s = 2.0, 0.5, 0.49
+    a = m + np.sqrt(s) * np.random.default_rng(0).standard_normal(1_000_000)
+    for d, expected in ((-1.0, 8.0), (1.0, 8.0 + 4 / 0.49)):
+        closed = score_variance(jnp.float32(c), jnp.float32(d), jnp.float32(m), jnp.float32(s))
+        assert float(closed) == pytest.approx(expected, rel=1e-6)
+        assert np.var((a - m) / s * (c * a + d)) == pytest.approx(expected, rel=0.02)
+
+
+def test_the_variance_ratio_and_its_lower_bound() -> None:
+    """R at s = (3, 4): K/|s|^2 = 1/25; RKHS policy c = 1, d = 0, m = 1 and linear c = 2, d = 1, m = 0, S = 0.5.
+
+    (2 + 1/0.5) / (8 + 1/0.5) = 0.4, over 25. The lemma's bound drops h's offset: 2 / 10 over 25.
+    """
+
+    def of(*numbers: float) -> tuple[jax.Array, ...]:
+        return tuple(jnp.asarray([number], jnp.float32) for number in numbers)
+
+    state = jnp.asarray([[3.0, 4.0]], jnp.float32)
+    ratio = variance_ratio(gaussian(1.0), state, of(1.0, 0.0, 1.0), of(2.0, 1.0, 0.0), jnp.float32(0.5))
+    assert float(ratio[0]) == pytest.approx(0.4 / 25, rel=1e-5)
+    assert float(ratio[0]) >= 0.2 / 25
+
+
+def sampled(states: int, actions: int) -> tuple[np.ndarray, ...]:
+    """Transitions of one policy that satisfy Theorem 3.2: per state many actions with their true Q, V and A.
+
+    h = 0, mu = 0.5, S = 0.01, cut where a - h >= mu / 2 would fail, at 2.4 standard deviations. Q = V + 0.1 (a - m)
+    with V = 2 stays above V / 2.
+    """
+    rng = np.random.default_rng(3)
+    noise = np.clip(0.1 * rng.standard_normal((states, actions)), -0.24, 0.24)
+    noise -= noise.mean(axis=1, keepdims=True)
+    mean = 0.5
+    a = mean + noise
+    value = np.full_like(a, 2.0)
+    advantage = 0.1 * (a - mean)
+    return a, value, advantage
+
+
+def test_theorem_3_2_orders_the_three_variances() -> None:
+    """Var with Q >= Var with A >= Var with A and the residual, at every one of 20 states with 2,000 actions each.
+
+    At one state K(s, s) = 1 for all actions, so equation 10 is the variance over actions of the theorem.
+    """
+    actions, values, advantages = sampled(20, 2000)
+    assert (actions >= 0.25).all()
+    assert (values + advantages >= values / 2).all()
+    with jax.enable_x64(True):
+        state = jnp.zeros((2000, 1))
+        variance = jax.jit(lambda alpha: gradient_variance(gaussian(1.0), state, alpha))
+        for a, v, adv in zip(actions, values, advantages, strict=True):
+            gradients = three_gradients(
+                jnp.asarray(a[:, None]),
+                jnp.zeros((2000, 1)),
+                jnp.full((2000, 1), 0.5),
+                jnp.full(1, np.log(0.1)),
+                jnp.asarray(v),
+                jnp.asarray(adv),
+            )
+            with_q, with_a, with_residual = (float(variance(alpha)) for alpha in gradients)
+            assert with_q >= with_a >= with_residual > 0
+
+
+def test_the_laboratory_runs_at_its_interval_without_another_compilation() -> None:
+    """Measured at updates 0 and 2 of three; between, its figures are 0 and say so. One program for all."""
+    settings = RunSettings.model_validate(
+        {
+            "num_envs": 16,
+            "num_steps": 4,
+            "actors": 1,
+            "total_steps": 64 * 8,
+            "algorithm": {"hidden": (8, 8), "minibatches": 4, "epochs": 1},
+            "rkhs": {"variance_every": 2, "representation": "rff", "capacity": 8, "samples": "batch"},
+        }
+    )
+    small = small_learner(settings, 3, 2)
+    state, seen = small.start, []
+    for i in range(3):
+        state, metrics = small.step(state, random_batch(small, i))
+        seen.append({name: float(value) for name, value in metrics.items() if name.startswith("variance/")})
+    assert small.step._cache_size() == 1
+    assert [metrics[MEASURED] for metrics in seen] == [1.0, 0.0, 1.0]
+    assert set(seen[1].values()) == {0.0}
+    for metrics in (seen[0], seen[2]):
+        # Q = A + V, in their means; the spread of the gradient is a positive number.
+        assert metrics["variance/q_mean"] == pytest.approx(
+            metrics["variance/a_mean"] + metrics["variance/v_mean"], abs=1e-5
+        )
+        assert all(metrics[f"variance/{name}"] > 0 for name in ("gradient", "of_q", "of_a", "of_a_residual"))
