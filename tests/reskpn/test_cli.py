@@ -176,7 +176,7 @@ def test_settings_reach_the_run(trained: list[RunSettings], tmp_path: Path, monk
         (["--task", "hoper"], "task (from the command line): 'hoper' is not a task; did you mean 'hopper'? allowed: "),
         (["--learner", "trpo"], "learner (from the command line): 'trpo' is not a learner; "),
         (["--physics", "Native"], "physics (from the command line): 'Native' is not a physics engine; did you mean "),
-        (["--rkhs.kernel", "linear"], "rkhs.kernel (from the command line): 'linear' is not a kernel; "),
+        (["--rkhs.kernel", "cubic"], "rkhs.kernel (from the command line): 'cubic' is not a kernel; "),
         (["--algorithm.gamma", "2"], "algorithm.gamma (from the command line): '2': Input should be less than or"),
         (["--num-envs", "7"], "num_envs (7) must be a multiple of actors (2): "),
         (["--algorithm.minibatches", "7"], "a batch of 20480 transitions (num_envs 2048 x num_steps 10) cannot be "),
