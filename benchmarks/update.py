@@ -26,7 +26,7 @@ from benchmarks.machine import describe, machine
 from common.learners import LEARNERS
 from common.maths.networks import make_networks
 from common.maths.rkhs.make import make_representation
-from common.maths.state import Batch, LearnerState, initial_state
+from common.maths.state import Batch, LearnerState, Mirror, initial_state
 from common.maths.update import make_update
 from common.runtime import prepare_jax
 from common.settings import RunSettings
@@ -51,7 +51,8 @@ def _case(representation: str, samples: int | str, capacity: int, **more: Any) -
     n = "B" if samples == "batch" else f"{samples}"
     step = {"step": "trust-region"} if more.pop("trust", False) else {}
     rkhs = {"representation": representation, "samples": samples, "capacity": capacity, **step, **more}
-    return Case(f"{representation} n={n} M={capacity}{' trust-region' if step else ''}", rkhs)
+    words = [f"{representation} n={n} M={capacity}", *step.values(), *more.values()]
+    return Case(" ".join(words), rkhs)
 
 
 CASES = (
@@ -61,6 +62,7 @@ CASES = (
     _case("exact", 5, 256),
     _case("exact", 64, 256),
     *(_case(name, samples, 256) for name in ("nystrom", "rff") for samples in (1, 5, 64, "batch")),
+    _case("rff", "batch", 256, estimate="symmetric"),
     _case("nystrom", "batch", 256, trust=True),
     _case("rff", "batch", 256, trust=True),
     _case("kmp", 1, 256),
@@ -129,6 +131,13 @@ def _random_batch(settings: RunSettings) -> Batch:
         cut_observation=jnp.zeros((envs, task.observation_size), jnp.float32),
         slot=jnp.zeros(1, jnp.int32),
         fresh=jnp.zeros(1, jnp.bool_),
+        mirror=Mirror(
+            action=normal(settings.branches, task.action_size),
+            reward=normal(settings.branches),
+            terminated=flag[0, : settings.branches],
+            truncated=flag[0, : settings.branches],
+            next_observation=normal(settings.branches, task.observation_size),
+        ),
     )
 
 

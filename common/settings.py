@@ -180,7 +180,7 @@ class RunSettings(Section):
             raise ValueError(
                 f"num_steps ({self.num_steps}) must not be longer than an episode ({self.episode_length} steps)"
             )
-        if (reason := impossibility(self.rkhs, batch)) is not None:
+        if (reason := impossibility(self.rkhs, batch, self.num_envs)) is not None:
             raise ValueError(reason)
         return self
 
@@ -200,15 +200,22 @@ class RunSettings(Section):
 
     @property
     def samples(self) -> int:
-        """Transitions of one functional gradient, n."""
-        return self.batch_size if self.rkhs.samples == "batch" else self.rkhs.samples
+        """Transitions of one functional gradient, n, or pairs of them."""
+        if self.rkhs.samples != "batch":
+            return self.rkhs.samples
+        return self.branches or self.batch_size
+
+    @property
+    def branches(self) -> int:
+        """Environments whose last step of a rollout is made once more under the mirrored action; 0 for none."""
+        return self.num_envs if LEARNERS[self.learner].rkhs and self.rkhs.estimate == "symmetric" else 0
 
     @property
     def capacity(self) -> int:
         """Centres, landmarks or features that h has room for; 0 where the learner has no h."""
         if not LEARNERS[self.learner].rkhs:
             return 0
-        return self.rkhs.room(self.updates, self.batch_size)
+        return self.rkhs.room(self.updates, self.samples, self.batch_size)
 
 
 def _round_to(value: int, multiple: int) -> int:

@@ -51,6 +51,8 @@ class RkhsSettings(Section):
     """centres, landmarks or features of h; default: room for every step, at most 2,441 (exact), else 256"""
     samples: Annotated[int | Literal["batch"], BeforeValidator(_samples)] = 1
     """transitions drawn for one functional gradient (n), or batch for all of them"""
+    estimate: Literal["score", "symmetric"] = "score"
+    """functional gradient from actions as taken, or from pairs of mirrored actions stepped from one state"""
     step: Literal["fixed", "trust-region"] = "fixed"
     """size of the functional step: fixed by eta, or such that it changes the policy by kl_target"""
     eta: NotNegative = 0.1
@@ -92,19 +94,21 @@ class RkhsSettings(Section):
             raise ValueError(unknown_name("representation", representation, REPRESENTATIONS))
         return representation
 
-    def room(self, updates: int, batch: int) -> int:
-        """Centres, landmarks or features of a run of so many updates of `batch` transitions."""
+    def room(self, updates: int, samples: int, batch: int) -> int:
+        """Centres, landmarks or features of a run of so many updates by `samples` out of `batch` transitions."""
         if self.capacity is not None:
             return self.capacity
         if self.representation == "exact":
-            samples = batch if self.samples == "batch" else self.samples
             return max(min(updates * samples, PAPER_CENTRES), samples)
         return min(USUAL_CAPACITY, batch) if self.representation == "nystrom" else USUAL_CAPACITY
 
 
-def impossibility(rkhs: RkhsSettings, batch: int) -> str | None:
+def impossibility(rkhs: RkhsSettings, batch: int, num_envs: int) -> str | None:
     """Why these settings cannot go together in a run with batches of so many transitions; None where they can."""
-    name, samples = rkhs.representation, batch if rkhs.samples == "batch" else rkhs.samples
+    pairs = rkhs.estimate == "symmetric"
+    name, samples = rkhs.representation, rkhs.samples
+    if samples == "batch":
+        samples = num_envs if pairs else batch
     if name in _ABLE and rkhs.kernel not in _ABLE[name][0]:
         kernels, reason = _ABLE[name]
         return (
@@ -113,6 +117,11 @@ def impossibility(rkhs: RkhsSettings, batch: int) -> str | None:
         )
     if samples > batch:
         return f"rkhs.samples ({samples}) must be at most the batch of {batch} transitions; 'batch' takes all of them"
+    if pairs and samples > num_envs:
+        return (
+            f"rkhs.samples ({samples}) must be at most the {num_envs} pairs of a symmetric estimate, one for each "
+            "environment (num_envs); 'batch' takes all of them"
+        )
     if rkhs.capacity is None:
         return None
     if name == "exact" and rkhs.capacity < samples:

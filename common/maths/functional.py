@@ -21,7 +21,7 @@ from common.maths.expansion import Momentum
 from common.maths.networks import Networks, Parameters
 from common.maths.policy import Mean
 from common.maths.rkhs.representation import Function, Representation
-from common.maths.samples import Samples, probe_stride, spread_rows
+from common.maths.samples import Pairs, Samples, probe_stride, spread_rows
 from common.settings_rkhs import RkhsSettings
 
 Metrics = dict[str, Array]
@@ -45,6 +45,7 @@ class FunctionalStep:
         momentum: Momentum,
         parameters: Parameters,
         batch: Samples,
+        pairs: Pairs,
         key: Key[Array, ""],
     ) -> tuple[Function, Momentum, Metrics]:
         """The next h and v, for the networks as they are after their training.
@@ -52,19 +53,17 @@ class FunctionalStep:
         Args:
             parameters: of the policy.
             batch: all B transitions in one axis.
+            pairs: where there are any, the gradient is estimated from them alone.
         """
         representation, settings, count = self.representation, self.settings, batch.log_prob.shape[0]
 
         def mean_at(observation: Array) -> Mean:
             return policy.evaluate(self.networks, representation, parameters, function, observation)
 
-        gain = self.gain(batch)
-        drawn, advantage = batch, objectives.normalised(batch.advantage)
-        if self.samples < count:
-            rows = jax.random.choice(key, count, (self.samples,), replace=False)
-            drawn, gain, advantage = batch[rows], gain[rows], advantage[rows]
-        mean = mean_at(drawn.observation)
-        alpha = self.coefficients(mean, drawn, gain, advantage)
+        if pairs.taken.log_prob.shape[0]:
+            mean, alpha = self.from_pairs(mean_at, pairs, key)
+        else:
+            mean, alpha = self._from_batch(mean_at, batch, key)
         function, momentum = representation.average(
             function,
             momentum,
@@ -80,6 +79,40 @@ class FunctionalStep:
             momentum,
             {"rkhs/alpha": jnp.sqrt(jnp.sum(jnp.square(alpha))), "rkhs/scale": jnp.asarray(scale)},
         )
+
+    def _from_batch(
+        self, mean_at: Callable[[Array], Mean], batch: Samples, key: Key[Array, ""]
+    ) -> tuple[Mean, Float[Array, "n A"]]:
+        """The mean at n transitions of the batch, and their coefficients."""
+        gain, advantage = self.gain(batch), objectives.normalised(batch.advantage)
+        drawn, gain, advantage = self._draw((batch, gain, advantage), batch.log_prob.shape[0], key)
+        mean = mean_at(drawn.observation)
+        return mean, self.coefficients(mean, drawn, gain, advantage)
+
+    def from_pairs(
+        self, mean_at: Callable[[Array], Mean], pairs: Pairs, key: Key[Array, ""]
+    ) -> tuple[Mean, Float[Array, "n A"]]:
+        """The mean at the states of n pairs, and their coefficients (Paternain et al. 2020).
+
+        A pair's coefficient is the mean of its two actions'. Both are draws of the policy that acted, so each is
+        weighted as any transition is. While that policy is the one of now, the two scores differ in their sign alone,
+        and Sigma^-1 (a - m) (G(a) - G(a')) / 2 is left. Whatever of G is the same at both cancels, so that no baseline
+        is needed: for the Q of Lemma 3.1 the variance drops from 2 c^2 + Sigma^-1 (c h + d)^2 to 2 c^2.
+        """
+        both = objectives.normalised(jnp.stack([pairs.taken.advantage, pairs.mirrored.advantage]))
+        gains = (pairs.taken.target, pairs.mirrored.target) if self.target == "Q" else (both[0], both[1])
+        pairs, gains, advantages = self._draw((pairs, gains, (both[0], both[1])), both.shape[1], key)
+        mean = mean_at(pairs.taken.observation)
+        taken = self.coefficients(mean, pairs.taken, gains[0], advantages[0])
+        mirrored = self.coefficients(mean, pairs.mirrored, gains[1], advantages[1])
+        return mean, 0.5 * (taken + mirrored)
+
+    def _draw(self, rows_of: Any, count: int, key: Key[Array, ""]) -> Any:
+        """n of the `count` rows of every array, without replacement; all, in their order, where n is their number."""
+        if self.samples == count:
+            return rows_of
+        rows = jax.random.choice(key, count, (self.samples,), replace=False)
+        return jax.tree.map(lambda x: x[rows], rows_of)
 
     def gain(self, batch: Samples) -> Float[Array, "B"]:
         """G: the lambda-return A + V as it is, or the advantage normalised over the batch."""
@@ -119,15 +152,3 @@ class FunctionalStep:
         v = self.representation.velocity(function, momentum, features)
         kl = jnp.mean(gaussians.kl_of_means(v, jnp.zeros_like(v), log_std))
         return jnp.sqrt(self.settings.kl_target / jnp.maximum(kl, _LEAST_KL))
-
-
-def symmetric(
-    score: Float[Array, "n A"], gain: Float[Array, "n"], mirrored_gain: Float[Array, "n"]
-) -> Float[Array, "n A"]:
-    """Sigma^-1 (a - m) (G(a) - G(2m - a)) / 2: the symmetric estimate (Paternain et al. 2020).
-
-    The mean of the estimates at an action and at its mirror image in the policy's mean, whose score is -Sigma^-1 (a -
-    m). Whatever of G is the same at both cancels, so that no baseline is needed: for the Q of Lemma 3.1 the variance
-    drops from 2 c^2 + Sigma^-1 (c h + d)^2 to 2 c^2. Needs the gain of both actions from the same state.
-    """
-    return 0.5 * (gain - mirrored_gain)[:, None] * score

@@ -34,6 +34,21 @@ class Samples:
         return jax.tree.map(lambda x: x[rows], self)
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Pairs:
+    """Two transitions from each of M states, under an action and under its mirror image in the mean that acted.
+
+    Their advantages are those of one step: r + gamma V(o') - V(o). M is 0 in a run that does not branch.
+    """
+
+    taken: Samples
+    mirrored: Samples
+
+    def __getitem__(self, rows: slice | Int[Array, "n"]) -> Pairs:
+        return Pairs(self.taken[rows], self.mirrored[rows])
+
+
 def flatten(x: Array) -> Array:
     """[T, E, ...] as [T * E, ...]."""
     return x.reshape((-1, *x.shape[2:]))

@@ -46,6 +46,21 @@ class LearnerState:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class Mirror:
+    """The last step of the rollouts made once more, from the same states, under a' = 2 m(o) - a.
+
+    M is E, or 0 in a run that does not branch. next_observation is that after the step, of the same episode.
+    """
+
+    action: Float[Array, "M A"]
+    reward: Float[Array, "M"]
+    terminated: Bool[Array, "M"]
+    truncated: Bool[Array, "M"]
+    next_observation: Float[Array, "M O"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class Batch:
     """The K rollouts of an update side by side: E = K * N environments, rollouts in the order of `slot`.
 
@@ -63,6 +78,7 @@ class Batch:
     cut_observation: Float[Array, "E O"]
     slot: Int[Array, "K"]
     fresh: Bool[Array, "K"]
+    mirror: Mirror
 
 
 def make_optimiser(algorithm: AlgorithmSettings) -> optax.GradientTransformation:

@@ -22,7 +22,7 @@ from common.maths.functional import FunctionalStep, Metrics
 from common.maths.networks import Networks, Parameters
 from common.maths.rkhs.make import make_representation
 from common.maths.rkhs.representation import Function, Representation
-from common.maths.samples import Samples, flatten
+from common.maths.samples import Pairs, Samples, flatten
 from common.maths.state import Batch, LearnerState, make_optimiser
 from common.settings import AlgorithmSettings, RunSettings
 
@@ -50,11 +50,15 @@ class Update:
         """
         shuffle_key, draw_key = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(state.key), state.version))
         return_moments, discounted, reward = self._scaled_rewards(state, batch)
-        samples = jax.tree.map(flatten, self._samples(state, batch, reward))
+        by_step = self._samples(state, batch, reward)
+        samples = jax.tree.map(flatten, by_step)
         parameters, optimiser, losses = self._train_networks(state, samples, shuffle_key)
         expansion, momentum, rkhs_metrics = state.expansion, state.momentum, Metrics()
         if expansion.capacity:
-            expansion, momentum, rkhs_metrics = self.step(expansion, momentum, parameters["policy"], samples, draw_key)
+            pairs = self._pairs(state, batch, by_step, return_moments)
+            expansion, momentum, rkhs_metrics = self.step(
+                expansion, momentum, parameters["policy"], samples, pairs, draw_key
+            )
         observations = state.observations
         if self.algorithm.normalise_observations:
             observations = running.merge(observations, flatten(batch.observation))
@@ -94,23 +98,14 @@ class Update:
 
     def _samples(self, state: LearnerState, batch: Batch, reward: Float[Array, "T E"]) -> Samples:
         """Values and advantages under the critic as it stands; all arrays [T, E, ...]."""
-
-        def whiten(observation: Array) -> Array:
-            if self.algorithm.normalise_observations:
-                return running.standardise(state.observations, observation)
-            return observation
-
-        def value_of(observation: Array) -> Array:
-            flat = observation.reshape(-1, observation.shape[-1])
-            return self.networks.value(state.parameters["critic"], flat).reshape(observation.shape[:-1])
-
-        observation = whiten(batch.observation)
-        value = value_of(observation)
-        next_value = jnp.concatenate([value[1:], value_of(whiten(batch.last_observation))[None]])
+        observation = self._whiten(state, batch.observation)
+        value = self._value(state, observation)
+        last_value = self._value(state, self._whiten(state, batch.last_observation))
+        next_value = jnp.concatenate([value[1:], last_value[None]])
         cut_value = jnp.zeros_like(value[:1])
         if self.algorithm.bootstrap_at_truncation:
             # An environment is truncated at most once a rollout: settings keep T within an episode.
-            cut_value = value_of(whiten(batch.cut_observation))[None]
+            cut_value = self._value(state, self._whiten(state, batch.cut_observation))[None]
         advantage = returns.generalised_advantage(
             reward,
             value,
@@ -121,6 +116,34 @@ class Update:
             lambda_=self.algorithm.gae_lambda,
         )
         return Samples(observation, batch.action, batch.log_prob, value, advantage)
+
+    def _pairs(self, state: LearnerState, batch: Batch, samples: Samples, return_moments: running.Moments) -> Pairs:
+        """The last step of the rollouts, whose advantage is that of one step, and what its mirror image gave.
+
+        Args:
+            samples: of the batch, [T, E, ...].
+        """
+        mirror = batch.mirror
+        taken: Samples = jax.tree.map(lambda x: x[-1, : mirror.reward.shape[0]], samples)
+        reward = mirror.reward
+        if self.algorithm.normalise_rewards:
+            reward = running.scale(return_moments, reward)
+        next_value = self._value(state, self._whiten(state, mirror.next_observation))
+        if not self.algorithm.bootstrap_at_truncation:
+            next_value = jnp.where(mirror.truncated, 0.0, next_value)
+        next_value = jnp.where(mirror.terminated, 0.0, next_value)
+        advantage = reward + self.algorithm.gamma * next_value - taken.value
+        # A Gaussian is as dense at the one action as at the other.
+        return Pairs(taken, Samples(taken.observation, mirror.action, taken.log_prob, taken.value, advantage))
+
+    def _whiten(self, state: LearnerState, observation: Array) -> Array:
+        if self.algorithm.normalise_observations:
+            return running.standardise(state.observations, observation)
+        return observation
+
+    def _value(self, state: LearnerState, observation: Float[Array, "*batch O"]) -> Float[Array, "*batch"]:
+        flat = observation.reshape(-1, observation.shape[-1])
+        return self.networks.value(state.parameters["critic"], flat).reshape(observation.shape[:-1])
 
     def _train_networks(
         self, state: LearnerState, samples: Samples, key: Key[Array, ""]

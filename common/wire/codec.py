@@ -18,7 +18,7 @@ import numpy as np
 
 from common.errors import CodecError
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Of all messages together: both sides of a connection must have the same."""
 
 DTYPES: Mapping[str, np.dtype[Any]] = {

@@ -73,14 +73,21 @@ class JoinReply(Message):
     settings: Annotated[str, text(1 << 20)]
 
 
+_REAL = (
+    *("obs", "action", "log_prob", "reward", "last_obs", "truncated_obs"),
+    *("mirror_action", "mirror_reward", "mirror_obs"),
+)
+
+
 @dataclass(frozen=True)
 class RolloutShape:
-    """The sizes T, N, O and A that a run's rollouts have."""
+    """The sizes T, N, O, A and m that a run's rollouts have."""
 
     num_steps: int
     num_envs: int
     observation_size: int
     action_size: int
+    branches: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +96,9 @@ class Rollout(Message):
 
     `truncated_obs` are the observations in which the time limit cut an episode, in the order of
     `np.nonzero(truncated)`; `timing` is seconds by phase; `t_ns` is the Unix time of sending.
+
+    `mirror_...` are the last step made once more with the mirrored action, `mirror_obs` after it; m is N, or 0 in a run
+    that does not branch.
     """
 
     run: RunId
@@ -108,6 +118,11 @@ class Rollout(Message):
     episode_return: Annotated[np.ndarray, array("float32", "e")]
     episode_length: Annotated[np.ndarray, array("int32", "e")]
     timing: Annotated[dict[str, float], mapping(real)]
+    mirror_action: Annotated[np.ndarray, array("float32", "m A")]
+    mirror_reward: Annotated[np.ndarray, array("float32", "m")]
+    mirror_terminated: Annotated[np.ndarray, array("bool", "m")]
+    mirror_truncated: Annotated[np.ndarray, array("bool", "m")]
+    mirror_obs: Annotated[np.ndarray, array("float32", "m O")]
 
     @property
     def key(self) -> tuple[int, str, int]:
@@ -129,6 +144,10 @@ class Rollout(Message):
             require_shape(name, getattr(self, name), (steps, envs))
         require_shape("last_obs", self.last_obs, (envs, obs))
         require_shape("truncated_obs", self.truncated_obs, (int(np.count_nonzero(self.truncated)), obs))
+        require_shape("mirror_action", self.mirror_action, (shape.branches, action))
+        for name in ("mirror_reward", "mirror_terminated", "mirror_truncated"):
+            require_shape(name, getattr(self, name), (shape.branches,))
+        require_shape("mirror_obs", self.mirror_obs, (shape.branches, obs))
         if both := np.count_nonzero(self.terminated & self.truncated):
             raise CodecError("bad_value", f"{both} steps that are both terminated and truncated; a step is at most one")
         _check_episodes(self.episode_return, self.episode_length)
@@ -138,7 +157,7 @@ class Rollout(Message):
                 "bad_shape",
                 f"episode_return has {self.episode_return.size} episodes; only {ended} ended here",
             )
-        for name in ("obs", "action", "log_prob", "reward", "last_obs", "truncated_obs"):
+        for name in _REAL:
             require_finite(name, getattr(self, name))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -50,7 +50,7 @@ class Experience:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Trajectory:
-    """T steps of N environments, on the device."""
+    """T steps of N environments, on the device. `next_obs` is after the step, of the same episode."""
 
     obs: Array
     action: Array
@@ -58,8 +58,20 @@ class Trajectory:
     reward: Array
     terminated: Array
     truncated: Array
+    next_obs: Array
     episode_return: Array
     episode_length: Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Collected:
+    """A rollout on the device. `mirror` is one step, of N environments or, where the run does not branch, of none."""
+
+    trajectory: Trajectory
+    last_obs: Array
+    cut_obs: Array
+    mirror: Trajectory
 
 
 class PolicyReader:
@@ -100,11 +112,11 @@ class PolicyReader:
         """The policy of a snapshot; CodecError where it does not fit the run."""
         return jax.device_put(from_arrays(self._template, arrays))
 
-    def sample(self, policy: Policy, observation: Array, key: Array) -> tuple[Array, Array]:
-        """Actions [N, A] and their log-probabilities [N]."""
+    def sample(self, policy: Policy, observation: Array, key: Array) -> tuple[Array, Array, Array]:
+        """Actions [N, A], their log-probabilities [N], and their mirror images in the mean, 2 m - a [N, A]."""
         mean = self._act(policy, observation)
         action = gaussians.sample(key, mean.total, mean.log_std)
-        return action, gaussians.log_prob(mean.total, mean.log_std, action)
+        return action, gaussians.log_prob(mean.total, mean.log_std, action), 2.0 * mean.total - action
 
     def mode(self, policy: Policy, observation: Array) -> Array:
         """The deterministic actions [N, A]."""
@@ -127,7 +139,7 @@ class Collector:
         )
         key = jax.random.fold_in(jax.random.key(settings.seed), place.slot)
         self._key = jax.random.fold_in(key, place.generation)
-        self._collect: Callable[..., tuple[EnvState, Trajectory, Array, Array]] = jax.jit(self._scan)
+        self._collect: Callable[..., tuple[EnvState, Collected]] = jax.jit(self._scan)
         self._state: EnvState | None = None
         self._pending: EnvState | None = None
         self.seq = 0
@@ -146,8 +158,8 @@ class Collector:
         """The rollout number `seq` under this policy. Called again before `keep`, it starts from the same states."""
         began_s, physics_s = time.perf_counter(), self._environment.physics_seconds()
         key = jax.random.fold_in(jax.random.fold_in(self._key, COLLECT), self.seq)
-        self._pending, trajectory, last_obs, cut_obs = self._collect(policy, self._state, key)
-        arrays = _host_arrays(trajectory, last_obs, cut_obs)
+        self._pending, collected = self._collect(policy, self._state, key)
+        arrays = _host_arrays(collected)
         timing = {"collect": time.perf_counter() - began_s}
         if physics_s is not None:
             timing["physics"] = (self._environment.physics_seconds() or 0.0) - physics_s
@@ -159,27 +171,48 @@ class Collector:
         self._state = self._pending
         self.seq += 1
 
-    def _scan(self, policy: Policy, state: EnvState, key: Array) -> tuple[EnvState, Trajectory, Array, Array]:
-        def one_step(carry: tuple[EnvState, Array], key_t: Array) -> tuple[tuple[EnvState, Array], Trajectory]:
-            state, cut_obs = carry
-            obs = state.obs
-            action, log_prob = self._reader.sample(policy, obs, key_t)
-            state, transition = self._environment.step(state, action)
-            cut_obs = jnp.where(transition.truncated[:, None], transition.final_obs, cut_obs)
-            return (state, cut_obs), Trajectory(
-                obs=obs,
-                action=action,
-                log_prob=log_prob,
-                reward=transition.reward,
-                terminated=transition.terminated,
-                truncated=transition.truncated,
-                episode_return=transition.episode_return,
-                episode_length=transition.episode_length,
-            )
+    def _scan(self, policy: Policy, state: EnvState, key: Array) -> tuple[EnvState, Collected]:
+        """T steps, and in a run that branches one more, which is the last one over again with the mirrored action."""
+        steps = self._settings.num_steps
+        keys = jax.random.split(key, steps)
+        mirrored = jnp.zeros(steps, jnp.bool_)
+        if self._settings.branches:
+            keys, mirrored = jnp.concatenate([keys, keys[-1:]]), jnp.arange(steps + 1) == steps
+        step = partial(self._one_step, policy)
+        start = (state, state, jnp.zeros_like(state.obs))
+        (state, _, cut_obs), trajectory = jax.lax.scan(step, start, (keys, mirrored))
+        mirror = jax.tree.map(lambda x: x[-1] if self._settings.branches else x[0, :0], trajectory)
+        trajectory = jax.tree.map(lambda x: x[:steps], replace(trajectory, next_obs=trajectory.next_obs[:0]))
+        return state, Collected(trajectory, state.obs, cut_obs, mirror)
 
-        keys = jax.random.split(key, self._settings.num_steps)
-        (state, cut_obs), trajectory = jax.lax.scan(one_step, (state, jnp.zeros_like(state.obs)), keys)
-        return state, trajectory, state.obs, cut_obs
+    def _one_step(
+        self, policy: Policy, carry: tuple[EnvState, EnvState, Array], at_t: tuple[Array, Array]
+    ) -> tuple[tuple[EnvState, EnvState, Array], Trajectory]:
+        """From the newest state and the one before it to the next two. A mirrored step starts from the one before."""
+        (newest, before, cut_obs), (key, mirrored) = carry, at_t
+        branching = bool(self._settings.branches)
+        start = _choose(mirrored, before, newest) if branching else newest
+        action, log_prob, mirror_image = self._reader.sample(policy, start.obs, key)
+        action = jnp.where(mirrored, mirror_image, action) if branching else action
+        after, transition = self._environment.step(start, action)
+        cut = transition.truncated & ~mirrored
+        cut_obs = jnp.where(cut[:, None], transition.final_obs, cut_obs)
+        made = Trajectory(
+            obs=start.obs,
+            action=action,
+            log_prob=log_prob,
+            reward=transition.reward,
+            terminated=transition.terminated,
+            truncated=transition.truncated,
+            next_obs=transition.final_obs,
+            episode_return=transition.episode_return,
+            episode_length=transition.episode_length,
+        )
+        return (_choose(mirrored, newest, after) if branching else after, start, cut_obs), made
+
+
+def _choose(condition: Array, then: EnvState, otherwise: EnvState) -> EnvState:
+    return jax.tree.map(partial(jnp.where, condition), then, otherwise)
 
 
 def evaluate(
@@ -221,20 +254,26 @@ def _first_episodes(
     return np.asarray(returns), np.asarray(lengths)
 
 
-def _host_arrays(trajectory: Trajectory, last_obs: Array, cut_obs: Array) -> dict[str, np.ndarray]:
+def _host_arrays(collected: Collected) -> dict[str, np.ndarray]:
     """The arrays of a rollout message; episodes and cut observations in the order of time, then environment."""
-    host = jax.device_get(trajectory)
-    over = host.terminated | host.truncated
-    _, cut_envs = np.nonzero(host.truncated)
+    host = jax.device_get(collected)
+    trajectory, mirror = host.trajectory, host.mirror
+    over = trajectory.terminated | trajectory.truncated
+    _, cut_envs = np.nonzero(trajectory.truncated)
     return {
-        "obs": host.obs,
-        "action": host.action,
-        "log_prob": host.log_prob,
-        "reward": host.reward,
-        "terminated": host.terminated,
-        "truncated": host.truncated,
-        "last_obs": np.asarray(last_obs),
-        "truncated_obs": np.asarray(cut_obs)[cut_envs],
-        "episode_return": host.episode_return[over],
-        "episode_length": host.episode_length[over],
+        "obs": trajectory.obs,
+        "action": trajectory.action,
+        "log_prob": trajectory.log_prob,
+        "reward": trajectory.reward,
+        "terminated": trajectory.terminated,
+        "truncated": trajectory.truncated,
+        "last_obs": host.last_obs,
+        "truncated_obs": host.cut_obs[cut_envs],
+        "episode_return": trajectory.episode_return[over],
+        "episode_length": trajectory.episode_length[over],
+        "mirror_action": mirror.action,
+        "mirror_reward": mirror.reward,
+        "mirror_terminated": mirror.terminated,
+        "mirror_truncated": mirror.truncated,
+        "mirror_obs": mirror.next_obs,
     }

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from common.maths.state import Batch
+from common.maths.state import Batch, Mirror
 from common.wire.messages import Rollout
 
 
@@ -22,6 +22,9 @@ def assemble(rollouts: Sequence[Rollout]) -> Batch:
         arrays = [getattr(rollout, name) for rollout in rollouts]
         return jnp.asarray(arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=1))
 
+    def end_to_end(name: str) -> Array:
+        return jnp.asarray(np.concatenate([getattr(rollout, name) for rollout in rollouts]))
+
     return Batch(
         observation=beside("obs"),
         action=beside("action"),
@@ -29,10 +32,17 @@ def assemble(rollouts: Sequence[Rollout]) -> Batch:
         reward=beside("reward"),
         terminated=beside("terminated"),
         truncated=beside("truncated"),
-        last_observation=jnp.asarray(np.concatenate([rollout.last_obs for rollout in rollouts])),
+        last_observation=end_to_end("last_obs"),
         cut_observation=jnp.asarray(np.concatenate([_cut_observations(rollout) for rollout in rollouts])),
         slot=jnp.asarray([rollout.slot for rollout in rollouts], jnp.int32),
         fresh=jnp.asarray([rollout.seq == 0 for rollout in rollouts], jnp.bool_),
+        mirror=Mirror(
+            action=end_to_end("mirror_action"),
+            reward=end_to_end("mirror_reward"),
+            terminated=end_to_end("mirror_terminated"),
+            truncated=end_to_end("mirror_truncated"),
+            next_observation=end_to_end("mirror_obs"),
+        ),
     )
 
 

@@ -53,7 +53,13 @@ class Hub:
         self._log = log
         self._on_event = on_event
         self._keys = Keys(run)
-        self._shape = RolloutShape(settings.num_steps, settings.envs_per_actor, task.observation_size, task.action_size)
+        self._shape = RolloutShape(
+            settings.num_steps,
+            settings.envs_per_actor,
+            task.observation_size,
+            task.action_size,
+            settings.branches // settings.actors,
+        )
         self._changed = threading.Condition()
         # Under the condition, from here
         self._fleet = Fleet(run, settings.actors)

@@ -17,7 +17,7 @@ from common.maths import trees
 from common.maths.diagnostics import MEASURED
 from common.maths.networks import make_networks
 from common.maths.rkhs.make import make_representation
-from common.maths.state import Batch, LearnerState, initial_state
+from common.maths.state import Batch, LearnerState, Mirror, initial_state
 from common.maths.update import Metrics, make_update
 from common.settings import RunSettings
 from common.tasks import TASKS
@@ -118,6 +118,14 @@ def _empty_batch(settings: RunSettings) -> Batch:
     per_step = jnp.zeros((steps, envs), jnp.float32)
     flag = jnp.zeros((steps, envs), jnp.bool_)
     observation = jnp.zeros((envs, task.observation_size), jnp.float32)
+    branches = settings.branches
+    mirror = Mirror(
+        action=jnp.zeros((branches, task.action_size), jnp.float32),
+        reward=per_step[0, :branches],
+        terminated=flag[0, :branches],
+        truncated=flag[0, :branches],
+        next_observation=observation[:branches],
+    )
     return Batch(
         observation=jnp.zeros((steps, envs, task.observation_size), jnp.float32),
         action=jnp.zeros((steps, envs, task.action_size), jnp.float32),
@@ -129,4 +137,5 @@ def _empty_batch(settings: RunSettings) -> Batch:
         cut_observation=observation,
         slot=jnp.zeros((settings.actors,), jnp.int32),
         fresh=jnp.zeros((settings.actors,), jnp.bool_),
+        mirror=mirror,
     )

@@ -29,6 +29,8 @@ def settings(**rkhs: object) -> RunSettings:
         ({"samples": "many"}, "must be a whole number of at least 1, or 'batch'"),
         ({"samples": 0}, "must be a whole number of at least 1, or 'batch'"),
         ({"samples": 641}, r"rkhs.samples \(641\) must be at most the batch of 640"),
+        ({"samples": 65, "estimate": "symmetric"}, r"\(65\) must be at most the 64 pairs.*num_envs"),
+        ({"estimate": "antithetic"}, "'score' or 'symmetric'"),
         ({"representation": "nystrom", "capacity": 641}, r"\(641\) must be at most the batch of 640"),
         ({"representation": "rff", "capacity": 7}, r"\(7\) must be even"),
         ({"kl_target": 0.0}, "greater than 0"),
@@ -45,6 +47,9 @@ def test_sizes_by_default() -> None:
     """Exact has room for the run, the others 256; the whole batch is so many samples."""
     assert settings().capacity == 2441  # 3e6 / 640 = 4,687 updates
     assert settings(samples="batch").samples == 640
+    pairs = settings(samples="batch", estimate="symmetric")
+    assert (pairs.samples, pairs.branches, settings().branches) == (64, 64, 0)
+    assert RunSettings.model_validate({"learner": "ppo", "rkhs": {"estimate": "symmetric"}}).branches == 0
     assert settings(representation="rff", samples="batch").capacity == 256
     assert (
         RunSettings.model_validate({"num_envs": 8, "num_steps": 8, "rkhs": {"representation": "nystrom"}}).capacity

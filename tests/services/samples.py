@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from mirrors import no_mirror
 
 from common.settings import RunSettings
 from common.wire.messages import Evaluation, Heartbeat, Join, Rollout, Snapshot, digest_arrays
@@ -44,6 +45,7 @@ def rollout(slot: int = 0, incarnation: str = "a", seq: int = 0, policy_version:
         "episode_return": np.zeros(0, np.float32),
         "episode_length": np.zeros(0, np.int32),
         "timing": {"collect": 0.25, "physics": 0.5},
+        **no_mirror(4, 1),
     }
     return Rollout(**values | changes)
 

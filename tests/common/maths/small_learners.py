@@ -14,7 +14,7 @@ from common.learners import LEARNERS
 from common.maths import trees
 from common.maths.networks import Networks, make_networks
 from common.maths.rkhs.make import make_representation
-from common.maths.state import Batch, LearnerState, initial_state
+from common.maths.state import Batch, LearnerState, Mirror, initial_state
 from common.maths.update import Metrics, Update, make_update
 from common.settings import AlgorithmSettings, RkhsSettings, RunSettings
 
@@ -108,6 +108,19 @@ def random_batch(learner: SmallLearner, seed: int, *, ends: bool = True) -> Batc
         cut_observation=jnp.where(jnp.asarray(truncated.any(axis=0))[:, None], cut, 0.0),
         slot=jnp.arange(slots, dtype=jnp.int32),
         fresh=jnp.arange(slots) % 2 == 1,
+        mirror=mirror_image(normal, settings.branches, networks),
+    )
+
+
+def mirror_image(normal: Callable[..., jax.Array], branches: int, networks: Networks) -> Mirror:
+    """Standard normal numbers; every third step terminates, every third is truncated. `branches` may be 0."""
+    kind = jnp.arange(branches) % 3
+    return Mirror(
+        action=normal(branches, networks.action_size),
+        reward=normal(branches),
+        terminated=kind == 1,
+        truncated=kind == 2,
+        next_observation=normal(branches, networks.observation_size),
     )
 
 

@@ -18,7 +18,7 @@ from small_learners import ENVS, GAMMA, SLOTS, STEPS, UPDATES, probe_learner
 
 from common.maths import gaussians, policy
 from common.maths.policy import Policy
-from common.maths.state import Batch, LearnerState
+from common.maths.state import Batch, LearnerState, Mirror
 
 Observe = Callable[[np.random.Generator], np.ndarray]
 Reward = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -81,6 +81,13 @@ def collect(name: str, state: LearnerState, probe: Probe, rng: np.random.Generat
         cut_observation=jnp.zeros((ENVS, 1), jnp.float32),
         slot=jnp.arange(SLOTS, dtype=jnp.int32),
         fresh=jnp.zeros(SLOTS, jnp.bool_),
+        mirror=Mirror(
+            action=jnp.zeros((0, 1)),
+            reward=jnp.zeros(0),
+            terminated=jnp.zeros(0, jnp.bool_),
+            truncated=jnp.zeros(0, jnp.bool_),
+            next_observation=jnp.zeros((0, 1)),
+        ),
     )
 
 

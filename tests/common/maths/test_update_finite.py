@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from mirrors import no_mirror
 from small_learners import random_batch
 from update_cases import in_the_middle, one_gradient_step
 
@@ -82,6 +83,7 @@ def rollout(seq: int, reward: float) -> Rollout:
         episode_return=np.zeros(0, np.float32),
         episode_length=np.zeros(0, np.int32),
         timing={},
+        **no_mirror(task.observation_size, task.action_size),
     )
 
 

@@ -20,11 +20,12 @@ DPO_ALPHA, DPO_BETA, DRIFT_ALPHA, DRIFT_BETA = 2.0, 0.6, 1.0, 0.6
 OLD_CENTRES, DRAWN, CAPACITY = 3, 8, 16
 
 
-def one_gradient_step(name: str) -> SmallLearner:
+def one_gradient_step(name: str, estimate: str = "score") -> SmallLearner:
     """A learner whose update is one pass over one minibatch, T = 3, E = 4 (two slots of two), O = 2, A = 2.
 
     With an epsilon far above any gradient, and a learning rate as large, Adam's first step is the gradient:
-    lr g / (|g| + eps) = g / (1 + |g| / 1e4). 8 of the 12 transitions are drawn for the functional gradient.
+    lr g / (|g| + eps) = g / (1 + |g| / 1e4). 8 of the 12 transitions are drawn for the functional gradient,
+    or all four pairs.
     """
     algorithm = AlgorithmSettings(
         gamma=GAMMA,
@@ -49,7 +50,8 @@ def one_gradient_step(name: str) -> SmallLearner:
         clip=1.0,
         drift_alpha=DRIFT_ALPHA,
         drift_beta=DRIFT_BETA,
-        samples=DRAWN,
+        estimate=estimate,
+        samples=DRAWN if estimate == "score" else "batch",
         capacity=CAPACITY,
     )
     settings = RunSettings(
@@ -190,9 +192,9 @@ def reference_transitions(learner: SmallLearner, before: Arrays, batch: Batch) -
 
 
 @functools.cache
-def case(name: str) -> Case:
+def case(name: str, estimate: str = "score") -> Case:
     """An update from the middle of training, on a batch with ends of both kinds and ratios from 0.2 to 4."""
-    learner = one_gradient_step(name)
+    learner = one_gradient_step(name, estimate)
     state = in_the_middle(learner)
     batch = random_batch(learner, seed=5)
     assert batch.terminated.any()

@@ -27,7 +27,7 @@ from common.wire.messages import (
     digest_arrays,
 )
 
-SHAPE = RolloutShape(num_steps=3, num_envs=4, observation_size=5, action_size=2)
+SHAPE = RolloutShape(num_steps=3, num_envs=4, observation_size=5, action_size=2, branches=4)
 
 count = st.integers(0, 2**63 - 1)
 slot = st.integers(0, 2**31 - 1)
@@ -42,7 +42,7 @@ finite = st.floats(-1e6, 1e6, width=32)
 def make_rollout(**changes):
     """A rollout of `SHAPE` with one episode that fell, one that the time limit cut, and both returns."""
     rng = np.random.default_rng(7)
-    steps, envs, obs, act = dataclasses.astuple(SHAPE)
+    steps, envs, obs, act, branches = dataclasses.astuple(SHAPE)
     terminated, truncated = np.zeros((steps, envs), bool), np.zeros((steps, envs), bool)
     terminated[0, 1] = truncated[2, 3] = True
 
@@ -67,6 +67,11 @@ def make_rollout(**changes):
         episode_return=draw(2),
         episode_length=np.array([17, 1000], np.int32),
         timing={"physics": 0.5, "push": 0.0},
+        mirror_action=draw(branches, act),
+        mirror_reward=draw(branches),
+        mirror_terminated=np.array([False, True, False, False]),
+        mirror_truncated=np.array([False, False, False, True]),
+        mirror_obs=draw(branches, obs),
     )
     return dataclasses.replace(rollout, **changes)
 
@@ -77,6 +82,8 @@ def rollouts(draw):
     steps, envs, obs, act = (draw(st.integers(1, 3)) for _ in range(4))
     ends = draw(nps.arrays(np.uint8, (steps, envs), elements=st.integers(0, 2)))
     episodes = draw(st.integers(0, int((ends > 0).sum())))
+    branches = draw(st.sampled_from([0, envs]))
+    mirrored = draw(nps.arrays(np.uint8, branches, elements=st.integers(0, 2)))
 
     def f32(*shape):
         return draw(nps.arrays(np.float32, shape, elements=finite))
@@ -87,8 +94,9 @@ def rollouts(draw):
         *(ends == 1, ends == 2, f32(envs, obs), f32(int((ends == 2).sum()), obs), f32(episodes)),
         draw(nps.arrays(np.int32, episodes, elements=st.integers(1, 1000))),
         draw(st.dictionaries(name, amount, max_size=3)),
+        *(f32(branches, act), f32(branches), mirrored == 1, mirrored == 2, f32(branches, obs)),
     )
-    return rollout, RolloutShape(steps, envs, obs, act)
+    return rollout, RolloutShape(steps, envs, obs, act, branches)
 
 
 @st.composite
@@ -188,7 +196,7 @@ def test_damaged_messages(message, data):
         read = type(message).decode(bytes(damaged))
         assert isinstance(read, type(message))
         if isinstance(read, Rollout):
-            read.check(RolloutShape(*read.obs.shape, read.action.shape[2]))
+            read.check(RolloutShape(*read.obs.shape, read.action.shape[2], len(read.mirror_reward)))
 
 
 @pytest.mark.parametrize(("message", "field"), FIELDS)
@@ -223,9 +231,9 @@ def test_another_schema(message, schema):
 
 def test_schema_is_named():
     """The sentence has the version that was given and what to do."""
-    error = refusal(Join, codec.encode({"schema": 2}))
+    error = refusal(Join, codec.encode({"schema": 3}))
     assert str(error) == (
-        "Join of schema 2, but this side speaks schema 1: run the same release on the learner and on the actors"
+        "Join of schema 3, but this side speaks schema 2: run the same release on the learner and on the actors"
     )
     assert refusal(Join, codec.encode({"run": ""})).reason == "missing_field"
 
@@ -305,9 +313,10 @@ def test_rollout_key_and_size():
     """The key finds duplicates; nbytes counts the arrays."""
     rollout = make_rollout()
     assert rollout.key == (1, "i", 5)
-    # float32: obs 3*4*5, action 3*4*2, log_prob and reward 3*4, last_obs 4*5, truncated_obs 5, returns 2 -> 135;
-    # int32: lengths 2; bool: 2 * 3*4.
-    assert rollout.nbytes == 4 * 135 + 4 * 2 + 24
+    # float32: obs 3*4*5, action 3*4*2, log_prob and reward 3*4, last_obs 4*5, truncated_obs 5, returns 2 -> 135, of the
+    # mirrored step action 4*2, reward 4, observation 4*5 -> 32;
+    # int32: lengths 2; bool: 2 * 3*4 and 2 * 4.
+    assert rollout.nbytes == 4 * (135 + 32) + 4 * 2 + 32
 
 
 @pytest.mark.parametrize(

@@ -169,6 +169,53 @@ def test_actions_are_drawn_from_the_policy(
     assert np.abs(np.asarray(mean.rkhs)).min() > 1e-4
 
 
+@pytest.fixture(scope="module")
+def branching(quick_compiler: None, policy: Policy) -> list[dict[str, np.ndarray]]:
+    """Three rollouts of a run whose gradient is estimated symmetrically, at the same place."""
+    run = settings(**SETTINGS.model_dump() | {"rkhs": {"capacity": 6, "estimate": "symmetric"}})
+    collector = Collector(run, PLACE, PolicyReader(run))
+    collector.compile()
+    arrays = []
+    for _ in range(3):
+        arrays.append(collector.collect(policy).arrays)
+        collector.keep()
+    return arrays
+
+
+def test_a_branch_is_the_last_step_with_the_mirrored_action(
+    environment: BatchedEnvironment,
+    reader: PolicyReader,
+    policy: Policy,
+    branching: list[dict[str, np.ndarray]],
+) -> None:
+    """From the very state before it, a' = 2 m(o) - a; stepped by hand it gives the same reward, end and observation."""
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(SETTINGS.seed), PLACE.slot), PLACE.generation)
+    state = environment.reset(jax.random.fold_in(key, RESET))
+    for arrays in branching:
+        for action in arrays["action"]:
+            before = state
+            state, _ = environment.step(state, jax.numpy.asarray(action))
+        mean = np.asarray(mean_of(reader, policy, arrays["obs"][-1]).total)
+        np.testing.assert_allclose(arrays["mirror_action"], 2 * mean - arrays["action"][-1], rtol=1e-5, atol=1e-6)
+        _, mirrored = environment.step(before, jax.numpy.asarray(arrays["mirror_action"]))
+        np.testing.assert_allclose(arrays["mirror_reward"], mirrored.reward, rtol=1e-5)
+        np.testing.assert_allclose(arrays["mirror_obs"], mirrored.final_obs, rtol=1e-4, atol=1e-5)
+        np.testing.assert_array_equal(arrays["mirror_terminated"], mirrored.terminated)
+        np.testing.assert_array_equal(arrays["mirror_truncated"], mirrored.truncated)
+        # The branch is another life than the one that goes on.
+        assert (arrays["mirror_obs"] != arrays["last_obs"]).any(axis=1).all()
+
+
+def test_a_branch_leaves_the_rollouts_as_they_are(
+    made: list[dict[str, np.ndarray]], branching: list[dict[str, np.ndarray]]
+) -> None:
+    """Everything else of a rollout has the numbers of a run that does not branch."""
+    for plain, branched in zip(made, branching, strict=False):
+        for name in plain:
+            if not name.startswith("mirror_"):
+                np.testing.assert_allclose(branched[name], plain[name], rtol=1e-5, atol=1e-6, err_msg=name)
+
+
 def test_rewards_and_ends_are_those_of_the_environments(
     environment: BatchedEnvironment, made: list[dict[str, np.ndarray]]
 ) -> None:
