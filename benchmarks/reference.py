@@ -3,10 +3,8 @@
     python -m benchmarks.reference --task hopper --learner ppo --steps 1.5e6 --seed 0
 
 Written from the algorithms as PureJaxRL (Lu et al. 2022) runs them, and independent of this project's mathematics and
-services: only the environments are shared. The one difference in method is when normalisation happens. Here it is part
-of the environment: at every step the running moments take in the new observations (and discounted returns), and these
-are normalised by the moments just updated. The service's actors standardise by the moments their policy came with, and
-the learner scales rewards batch by batch.
+services: only the environments are shared. Normalisation is part of the environment: at every step the running moments
+take in the new observations (and discounted returns), and these are normalised by the moments just updated.
 
 Axis letters: T steps, N environments, B = T * N transitions or a minibatch of them, O observation, A action.
 """

@@ -47,6 +47,31 @@ def standardise(moments: Moments, values: Float[Array, "*batch shape"]) -> Float
     return (values - moments.mean) * jax.lax.rsqrt(moments.variance + _EPS)
 
 
+def merge_and_standardise(
+    moments: Moments, values: Float[Array, "T B *shape"]
+) -> tuple[Moments, Float[Array, "T B *shape"]]:
+    """Step by step: merge the step's values, then standardise them by the moments that result."""
+
+    def one_step(moments: Moments, at_t: Float[Array, "B *shape"]) -> tuple[Moments, Float[Array, "B *shape"]]:
+        moments = merge(moments, at_t)
+        return moments, standardise(moments, at_t)
+
+    return jax.lax.scan(one_step, moments, values)
+
+
+def merge_and_scale(
+    moments: Moments, returns: Float[Array, "T B"], rewards: Float[Array, "T B"]
+) -> tuple[Moments, Float[Array, "T B"]]:
+    """Step by step: merge the step's discounted returns, then scale its rewards by the moments that result."""
+
+    def one_step(moments: Moments, at_t: tuple[Array, Array]) -> tuple[Moments, Float[Array, "B"]]:
+        returns_t, rewards_t = at_t
+        moments = merge(moments, returns_t)
+        return moments, scale(moments, rewards_t)
+
+    return jax.lax.scan(one_step, moments, (returns, rewards))
+
+
 def scale(moments: Moments, values: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """Values over the standard deviation, the mean left in (rewards)."""
     return values * jax.lax.rsqrt(moments.variance + _EPS)

@@ -1,7 +1,8 @@
 """One iteration of the learner, `state, batch -> state, metrics` (paper, Algorithm 1).
 
 Advantages with the critic as it stands, epochs of minibatches on the networks, one step of the expansion,
-then the running moments. Networks see observations standardised by the moments the actors acted with.
+then the running moments. Networks see observations standardised as the actors' policies did, by moments that take in
+each step before it is seen; rewards are scaled likewise (PureJaxRL).
 """
 
 from __future__ import annotations
@@ -27,6 +28,20 @@ from common.maths.state import Batch, LearnerState, make_optimiser
 from common.settings import AlgorithmSettings, RunSettings
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Seen:
+    """Observations of a batch, or of one rollout, as networks see them: those of its steps, and what came after.
+
+    Leaves are axes where it tells `jax.vmap` how rollouts lie side by side.
+    """
+
+    observation: Any
+    last: Any
+    cut: Any
+    mirrored: Any
+
+
 @dataclass(frozen=True)
 class Update:
     """The update of one run, its settings bound. Call it under `jax.jit`."""
@@ -50,12 +65,13 @@ class Update:
         """
         shuffle_key, draw_key = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(state.key), state.version))
         return_moments, discounted, reward = self._scaled_rewards(state, batch)
-        by_step = self._samples(state, batch, reward)
+        seen = self._seen(state, batch)
+        by_step = self._samples(state, batch, reward, seen)
         samples = jax.tree.map(flatten, by_step)
         parameters, optimiser, losses = self._train_networks(state, samples, shuffle_key)
         expansion, momentum, rkhs_metrics = state.expansion, state.momentum, Metrics()
         if expansion.capacity:
-            pairs = self._pairs(state, batch, by_step, return_moments)
+            pairs = self._pairs(state, batch, by_step, return_moments, seen)
             expansion, momentum, rkhs_metrics = self.step(
                 expansion, momentum, parameters["policy"], samples, pairs, draw_key
             )
@@ -77,7 +93,7 @@ class Update:
         return new, {name: jnp.asarray(value, jnp.float32) for name, value in metrics.items()}
 
     def _scaled_rewards(self, state: LearnerState, batch: Batch) -> tuple[running.Moments, Array, Array]:
-        """Rewards over the standard deviation of the discounted return, as [T, E]."""
+        """Rewards over the standard deviation of the discounted return up to their step, as [T, E]."""
         if not self.algorithm.normalise_rewards:
             return state.returns, state.discounted, batch.reward
         rollouts = batch.slot.shape[0]
@@ -93,19 +109,40 @@ class Update:
             by_rollout(batch.terminated | batch.truncated),
             gamma=self.algorithm.gamma,
         )
-        moments = running.merge(state.returns, every_return.reshape(-1))
-        return moments, discounted, running.scale(moments, batch.reward)
+        by_step = jnp.moveaxis(every_return, 1, 0).reshape(batch.reward.shape)
+        moments, reward = running.merge_and_scale(state.returns, by_step, batch.reward)
+        return moments, discounted, reward
 
-    def _samples(self, state: LearnerState, batch: Batch, reward: Float[Array, "T E"]) -> Samples:
+    def _seen(self, state: LearnerState, batch: Batch) -> Seen:
+        """The batch's observations as its actors saw them: each rollout goes on from the moments of the snapshot.
+
+        What an actor did not act on is seen by the moments at the rollout's end.
+        """
+        seen = Seen(batch.observation, batch.last_observation, batch.cut_observation, batch.mirror.next_observation)
+        if not self.algorithm.normalise_observations:
+            return seen
+        rollouts = batch.slot.shape[0]
+
+        def one_rollout(x: Seen) -> Seen:
+            steps = jnp.concatenate([x.observation, x.last[None]])
+            moments, steps = running.merge_and_standardise(state.observations, steps)
+            others = (running.standardise(moments, y) for y in (x.cut, x.mirrored))
+            return Seen(steps[:-1], steps[-1], *others)
+
+        axes = Seen(1, 0, 0, 0)
+        apart = jax.tree.map(lambda x, axis: _split(x, axis, rollouts), seen, axes)
+        together = jax.vmap(one_rollout, in_axes=(axes,), out_axes=axes)(apart)
+        return jax.tree.map(lambda x, like: x.reshape(like.shape), together, seen)
+
+    def _samples(self, state: LearnerState, batch: Batch, reward: Float[Array, "T E"], seen: Seen) -> Samples:
         """Values and advantages under the critic as it stands; all arrays [T, E, ...]."""
-        observation = self._whiten(state, batch.observation)
-        value = self._value(state, observation)
-        last_value = self._value(state, self._whiten(state, batch.last_observation))
+        value = self._value(state, seen.observation)
+        last_value = self._value(state, seen.last)
         next_value = jnp.concatenate([value[1:], last_value[None]])
         cut_value = jnp.zeros_like(value[:1])
         if self.algorithm.bootstrap_at_truncation:
             # An environment is truncated at most once a rollout: settings keep T within an episode.
-            cut_value = self._value(state, self._whiten(state, batch.cut_observation))[None]
+            cut_value = self._value(state, seen.cut)[None]
         advantage = returns.generalised_advantage(
             reward,
             value,
@@ -115,9 +152,11 @@ class Update:
             gamma=self.algorithm.gamma,
             lambda_=self.algorithm.gae_lambda,
         )
-        return Samples(observation, batch.action, batch.log_prob, value, advantage)
+        return Samples(seen.observation, batch.action, batch.log_prob, value, advantage)
 
-    def _pairs(self, state: LearnerState, batch: Batch, samples: Samples, return_moments: running.Moments) -> Pairs:
+    def _pairs(
+        self, state: LearnerState, batch: Batch, samples: Samples, return_moments: running.Moments, seen: Seen
+    ) -> Pairs:
         """The last step of the rollouts, whose advantage is that of one step, and what its mirror image gave.
 
         Args:
@@ -128,18 +167,13 @@ class Update:
         reward = mirror.reward
         if self.algorithm.normalise_rewards:
             reward = running.scale(return_moments, reward)
-        next_value = self._value(state, self._whiten(state, mirror.next_observation))
+        next_value = self._value(state, seen.mirrored)
         if not self.algorithm.bootstrap_at_truncation:
             next_value = jnp.where(mirror.truncated, 0.0, next_value)
         next_value = jnp.where(mirror.terminated, 0.0, next_value)
         advantage = reward + self.algorithm.gamma * next_value - taken.value
         # A Gaussian is as dense at the one action as at the other.
         return Pairs(taken, Samples(taken.observation, mirror.action, taken.log_prob, taken.value, advantage))
-
-    def _whiten(self, state: LearnerState, observation: Array) -> Array:
-        if self.algorithm.normalise_observations:
-            return running.standardise(state.observations, observation)
-        return observation
 
     def _value(self, state: LearnerState, observation: Float[Array, "*batch O"]) -> Float[Array, "*batch"]:
         flat = observation.reshape(-1, observation.shape[-1])
@@ -194,6 +228,11 @@ class Update:
             "kl": jnp.mean(ratio - 1.0 - log_ratio),
             "clip_fraction": jnp.mean(jnp.abs(ratio - 1.0) > settings.clip, dtype=jnp.float32),
         }
+
+
+def _split(x: Array, axis: int, parts: int) -> Array:
+    """One axis as two, the first of them of that many parts."""
+    return x.reshape(*x.shape[:axis], parts, x.shape[axis] // parts, *x.shape[axis + 1 :])
 
 
 def make_update(settings: RunSettings, networks: Networks) -> Update:

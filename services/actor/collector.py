@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,15 +18,18 @@ import numpy as np
 from jax import Array
 
 from common.learners import LEARNERS
-from common.maths import gaussians
+from common.maths import gaussians, running
 from common.maths.networks import make_networks
 from common.maths.policy import Policy, act
 from common.maths.rkhs.make import make_representation
+from common.maths.running import Moments
 from common.maths.state import initial_state
 from common.maths.trees import from_arrays
 from common.physics.environments import BatchedEnvironment, EnvState, make_environment
 from common.settings import RunSettings
 from common.tasks import TASKS
+
+Tree = TypeVar("Tree", EnvState, Moments)
 
 RESET, COLLECT = 0, 1
 """Streams of random numbers, folded into an actor's key."""
@@ -179,20 +183,25 @@ class Collector:
         if self._settings.branches:
             keys, mirrored = jnp.concatenate([keys, keys[-1:]]), jnp.arange(steps + 1) == steps
         step = partial(self._one_step, policy)
-        start = (state, state, jnp.zeros_like(state.obs))
-        (state, _, cut_obs), trajectory = jax.lax.scan(step, start, (keys, mirrored))
+        start = (state, state, policy.observations, jnp.zeros_like(state.obs))
+        (state, _, _, cut_obs), trajectory = jax.lax.scan(step, start, (keys, mirrored))
         mirror = jax.tree.map(lambda x: x[-1] if self._settings.branches else x[0, :0], trajectory)
         trajectory = jax.tree.map(lambda x: x[:steps], replace(trajectory, next_obs=trajectory.next_obs[:0]))
         return state, Collected(trajectory, state.obs, cut_obs, mirror)
 
     def _one_step(
-        self, policy: Policy, carry: tuple[EnvState, EnvState, Array], at_t: tuple[Array, Array]
-    ) -> tuple[tuple[EnvState, EnvState, Array], Trajectory]:
-        """From the newest state and the one before it to the next two. A mirrored step starts from the one before."""
-        (newest, before, cut_obs), (key, mirrored) = carry, at_t
+        self, policy: Policy, carry: tuple[EnvState, EnvState, Moments, Array], at_t: tuple[Array, Array]
+    ) -> tuple[tuple[EnvState, EnvState, Moments, Array], Trajectory]:
+        """From the newest state and the one before it to the next two. A mirrored step starts from the one before.
+
+        The policy sees observations through moments that have taken them in.
+        """
+        (newest, before, moments, cut_obs), (key, mirrored) = carry, at_t
         branching = bool(self._settings.branches)
         start = _choose(mirrored, before, newest) if branching else newest
-        action, log_prob, mirror_image = self._reader.sample(policy, start.obs, key)
+        seen = running.merge(moments, start.obs)
+        moments = _choose(mirrored, moments, seen) if branching else seen
+        action, log_prob, mirror_image = self._reader.sample(replace(policy, observations=moments), start.obs, key)
         action = jnp.where(mirrored, mirror_image, action) if branching else action
         after, transition = self._environment.step(start, action)
         cut = transition.truncated & ~mirrored
@@ -208,10 +217,11 @@ class Collector:
             episode_return=transition.episode_return,
             episode_length=transition.episode_length,
         )
-        return (_choose(mirrored, newest, after) if branching else after, start, cut_obs), made
+        after = _choose(mirrored, newest, after) if branching else after
+        return (after, start, moments, cut_obs), made
 
 
-def _choose(condition: Array, then: EnvState, otherwise: EnvState) -> EnvState:
+def _choose(condition: Array, then: Tree, otherwise: Tree) -> Tree:
     return jax.tree.map(partial(jnp.where, condition), then, otherwise)
 
 

@@ -13,7 +13,7 @@ from update_cases import (
     case,
     reference_moments,
     reference_policy,
-    whitened,
+    seen,
 )
 
 PAIRS = 4
@@ -30,18 +30,19 @@ def test_a_pair_moves_h_by_the_mean_of_its_two_actions():
     assert (bool(mirror.terminated.any()), bool(mirror.truncated.any())) == (True, True)
     moments, reward = reference_moments(before, batch)
     mirror_reward = np.asarray(mirror.reward, np.float64) / np.sqrt(moments["returns/variance"])
-    observation = whitened(given.learner, before, batch.observation[-1])
+    inputs = seen(given.learner, before, batch)
+    observation = inputs.observation[-1]
     value = np.array([reference.value(before, o) for o in observation])
 
     def one_step(reward, next_observation, terminated):
-        after = np.array([reference.value(before, whitened(given.learner, before, o)) for o in next_observation])
+        after = np.array([reference.value(before, o) for o in next_observation])
         return reward + GAMMA * np.where(terminated, 0.0, after) - value
 
-    ended_at = np.where(np.asarray(batch.truncated[-1])[:, None], batch.cut_observation, batch.last_observation)
+    ended_at = np.where(np.asarray(batch.truncated[-1])[:, None], inputs.cut, inputs.last)
     advantage = np.stack(
         [
             one_step(reward[-1], ended_at, np.asarray(batch.terminated[-1])),
-            one_step(mirror_reward, mirror.next_observation, np.asarray(mirror.terminated)),
+            one_step(mirror_reward, inputs.mirrored, np.asarray(mirror.terminated)),
         ]
     )
     advantage = (advantage - advantage.mean()) / advantage.std()

@@ -12,6 +12,7 @@ from small_learners import Arrays, SmallLearner, changed, random_batch, small_le
 
 from common.maths import trees
 from common.maths.state import Batch, LearnerState
+from common.maths.update import Seen
 from common.settings import AlgorithmSettings, RkhsSettings, RunSettings
 
 GAMMA, LAMBDA, CLIP, VALUE_COEFFICIENT, ENTROPY_COEFFICIENT = 0.9, 0.8, 0.2, 0.5, 0.01
@@ -81,9 +82,9 @@ def in_the_middle(learner: SmallLearner, seed: int = 0) -> LearnerState:
 def with_ratios(learner: SmallLearner, state: LearnerState, batch: Batch, log_ratio: np.ndarray) -> Batch:
     """The batch with log-probabilities from which the state's policy differs by the ratios given, [T, E]."""
     arrays = double(trees.to_arrays(state))
-    log_prob = np.zeros(log_ratio.shape)
+    log_prob, observation = np.zeros(log_ratio.shape), seen(learner, arrays, batch).observation
     for index in np.ndindex(log_ratio.shape):
-        mean, log_std = reference_policy(arrays, whitened(learner, arrays, batch.observation[index]))
+        mean, log_std = reference_policy(arrays, observation[index])
         log_prob[index] = reference.log_prob(mean, log_std, np.asarray(batch.action[index], np.float64))
     return replace(batch, log_prob=jnp.asarray(log_prob - log_ratio, jnp.float32))
 
@@ -93,10 +94,22 @@ def double(arrays: Arrays) -> Arrays:
     return {name.removeprefix("parameters/"): array.astype(np.float64) for name, array in arrays.items()}
 
 
-def whitened(learner: SmallLearner, arrays: Arrays, observation: np.ndarray) -> np.ndarray:
-    if not learner.settings.algorithm.normalise_observations:
-        return np.asarray(observation, np.float64)
-    return (np.asarray(observation) - arrays["observations/mean"]) / np.sqrt(arrays["observations/variance"])
+def seen(learner: SmallLearner, before: Arrays, batch: Batch) -> Seen:
+    """The observations as the policy that acted saw them: whitened by moments that take in each step first.
+
+    Every rollout (two environments) starts from the moments before; what was not acted on is whitened by its last.
+    """
+    raw = [batch.observation, batch.last_observation, batch.cut_observation, batch.mirror.next_observation]
+    steps, last, cut, mirrored = (np.array(x, np.float64) for x in raw)
+    if learner.settings.algorithm.normalise_observations:
+        for envs in (slice(0, 2), slice(2, 4)):
+            moments = tuple(before[f"observations/{part}"] for part in ("mean", "variance", "count"))
+            for at_t in (*(step[envs] for step in steps), last[envs]):
+                moments = reference.moments(*moments, at_t)
+                at_t[:] = (at_t - moments[0]) / np.sqrt(moments[1])
+            for others in (cut[envs], mirrored[envs]):
+                others[:] = (others - moments[0]) / np.sqrt(moments[1])
+    return Seen(steps, last, cut, mirrored)
 
 
 def reference_policy(arrays: Arrays, observation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -146,7 +159,7 @@ class Case:
 
 
 def reference_moments(case_before: Arrays, batch: Batch) -> tuple[Arrays, np.ndarray]:
-    """The moments and discounted returns after the batch, and the scaled rewards [T, E]."""
+    """The moments and discounted returns after the batch, and the rewards [T, E] scaled by those up to each step."""
     reward, done = np.asarray(batch.reward, np.float64), np.asarray(batch.terminated | batch.truncated)
     # Two rollouts of two environments each, side by side.
     by_rollout = [np.stack([x[:, :2], x[:, 2:]]) for x in (reward, done)]
@@ -155,21 +168,24 @@ def reference_moments(case_before: Arrays, batch: Batch) -> tuple[Arrays, np.nda
     )
     expected = {"discounted": carried}
     observations = np.asarray(batch.observation, np.float64).reshape(-1, 2)
-    for name, values in (("observations", observations), ("returns", every.ravel())):
-        old = [case_before[f"{name}/{part}"] for part in ("mean", "variance", "count")]
-        new = reference.moments(*old, values)
-        expected |= {f"{name}/{part}": x for part, x in zip(("mean", "variance", "count"), new, strict=True)}
-    return expected, reward / np.sqrt(expected["returns/variance"])
+    scaled = np.zeros_like(reward)
+    for name, values in (("observations", [observations]), ("returns", every.transpose(1, 0, 2).reshape(3, 4))):
+        moments = tuple(case_before[f"{name}/{part}"] for part in ("mean", "variance", "count"))
+        for t, at_t in enumerate(values):
+            moments = reference.moments(*moments, at_t)
+            scaled[t] = reward[t] / np.sqrt(moments[1]) if name == "returns" else 0.0
+        expected |= {f"{name}/{part}": x for part, x in zip(("mean", "variance", "count"), moments, strict=True)}
+    return expected, scaled
 
 
 def reference_transitions(learner: SmallLearner, before: Arrays, batch: Batch) -> list[reference.Transition]:
-    """Whitening by the moments of the policy that acted, rewards scaled, advantages by the critic as it stood."""
+    """Observations as they were seen, rewards scaled, advantages by the critic as it stood."""
     _, reward = reference_moments(before, batch)
-    whiten = functools.partial(whitened, learner, before)
-    observation = whiten(batch.observation)
+    inputs = seen(learner, before, batch)
+    observation = inputs.observation
     value = np.array([[reference.value(before, o) for o in row] for row in observation])
-    last_value = np.array([reference.value(before, whiten(o)) for o in batch.last_observation])
-    cut_value = np.array([reference.value(before, whiten(o)) for o in batch.cut_observation])
+    last_value = np.array([reference.value(before, o) for o in inputs.last])
+    cut_value = np.array([reference.value(before, o) for o in inputs.cut])
     if not learner.settings.algorithm.bootstrap_at_truncation:
         cut_value = np.zeros_like(cut_value)
     truncated = np.asarray(batch.truncated)

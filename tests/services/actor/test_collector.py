@@ -57,6 +57,7 @@ def policy(reader: PolicyReader) -> Policy:
             arrays[path] = array + rng.normal(0.0, 0.3, array.shape).astype(np.float32)
     arrays["observations/mean"] = rng.normal(0.0, 0.1, 4).astype(np.float32)
     arrays["observations/variance"] = rng.uniform(0.5, 2.0, 4).astype(np.float32)
+    arrays["observations/count"] = np.array(30.0, np.float32)
     return reader.read(arrays)
 
 
@@ -146,17 +147,39 @@ def test_another_place_makes_other_rollouts(
 
 
 def mean_of(reader: PolicyReader, policy: Policy, obs: np.ndarray) -> Mean:
-    """The policy mean in its parts, by the mathematics' own formula."""
+    """The policy mean in its parts at the observations [T, N, O] of a rollout, by the mathematics' own formula.
+
+    Observations are whitened by moments of all that was seen up to them: the snapshot's, which weigh as the number of
+    observations they are of, and those of the rollout's steps.
+    """
+    given = jax.device_get(policy.observations)
+    seen = np.zeros(obs.shape)
+    for t in range(len(obs)):
+        values = obs[: t + 1].reshape(-1, obs.shape[-1]).astype(np.float64)
+        total = given.count + len(values)
+        mean = (given.count * given.mean + values.sum(axis=0)) / total
+        second = (given.count * (given.variance + given.mean**2) + (values**2).sum(axis=0)) / total
+        seen[t] = (obs[t] - mean) / np.sqrt(second - mean**2)
     representation = make_representation(SETTINGS)
-    return jax.jit(partial(act, reader.networks, representation, normalise=True))(policy, jax.numpy.asarray(obs))
+    flat = jax.numpy.asarray(seen.reshape(-1, obs.shape[-1]), jax.numpy.float32)
+    return jax.jit(partial(act, reader.networks, representation, normalise=False))(policy, flat)
+
+
+def means_of(reader: PolicyReader, policy: Policy, made: list[dict[str, np.ndarray]]) -> Mean:
+    """As `mean_of`, of rollouts end to end."""
+    parts = [mean_of(reader, policy, arrays["obs"]) for arrays in made]
+    joined_parts = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("features", "rkhs", "residual")
+    )
+    return Mean(*(jax.numpy.asarray(part) for part in joined_parts), parts[0].log_std)
 
 
 def test_actions_are_drawn_from_the_policy(
     reader: PolicyReader, policy: Policy, made: list[dict[str, np.ndarray]]
 ) -> None:
     """`log_prob` is the diagonal Gaussian's density at the action, worked out by hand from the policy's mean."""
-    obs, action = joined(made, "obs").reshape(-1, 4), joined(made, "action").reshape(-1, 1)
-    mean = mean_of(reader, policy, obs)
+    action = joined(made, "action").reshape(-1, 1)
+    mean = means_of(reader, policy, made)
     total, deviation = np.asarray(mean.total), np.exp(np.asarray(mean.log_std))
     # log N(a; m, s^2) = -((a - m) / s)^2 / 2 - log s - log(2 pi) / 2, summed over the action's one element
     standardised = (action - total) / deviation
@@ -195,7 +218,7 @@ def test_a_branch_is_the_last_step_with_the_mirrored_action(
         for action in arrays["action"]:
             before = state
             state, _ = environment.step(state, jax.numpy.asarray(action))
-        mean = np.asarray(mean_of(reader, policy, arrays["obs"][-1]).total)
+        mean = np.asarray(mean_of(reader, policy, arrays["obs"]).total)[-ENVS:]
         np.testing.assert_allclose(arrays["mirror_action"], 2 * mean - arrays["action"][-1], rtol=1e-5, atol=1e-6)
         _, mirrored = environment.step(before, jax.numpy.asarray(arrays["mirror_action"]))
         np.testing.assert_allclose(arrays["mirror_reward"], mirrored.reward, rtol=1e-5)
@@ -309,7 +332,8 @@ def test_a_snapshot_of_other_settings_is_refused(reader: PolicyReader) -> None:
 def test_the_template_is_the_policy_before_the_first_update(reader: PolicyReader) -> None:
     """h = 0 there: the mean is the residual layer's alone."""
     obs = np.ones((3, 4), np.float32)
-    mean = mean_of(reader, reader.template, obs)
+    run = jax.jit(partial(act, reader.networks, make_representation(SETTINGS), normalise=True))
+    mean = run(reader.template, obs)
     np.testing.assert_array_equal(mean.rkhs, np.zeros((3, 1)))
     np.testing.assert_array_equal(jax.jit(reader.mode)(reader.template, obs), mean.residual)
 
