@@ -77,3 +77,20 @@ def test_scale_by_hand():
     """x / std, the mean left in."""
     moments = Moments(jnp.asarray(10.0), jnp.asarray(4.0), jnp.asarray(3.0))
     np.testing.assert_allclose(running.scale(moments, jnp.array([10.0, -3.0])), [5.0, -1.5], rtol=1e-6)
+
+
+def test_a_step_is_seen_by_moments_that_have_taken_it_in():
+    """Two values of mean 0 and variance 1, weighing 2; then steps (2, 4) and (6, 6).
+
+    After the first: mean (0 + 6) / 4 = 1.5, second moment (2 + 4 + 16) / 4 = 5.5, variance 3.25.
+    After the second: mean (6 + 12) / 6 = 3, second moment (22 + 72) / 6 = 47 / 3, variance 20 / 3.
+    """
+    moments = Moments(jnp.asarray(0.0), jnp.asarray(1.0), jnp.asarray(2.0))
+    steps = jnp.array([[2.0, 4.0], [6.0, 6.0]])
+    after, seen = running.merge_and_standardise(moments, steps)
+    first, second = np.sqrt(3.25), np.sqrt(20 / 3)
+    np.testing.assert_allclose(seen, [[0.5 / first, 2.5 / first], [3 / second, 3 / second]], rtol=1e-6)
+    np.testing.assert_allclose([after.mean, after.variance, after.count], [3.0, 20 / 3, 6.0], rtol=1e-6)
+    # Rewards are scaled by the returns of their step and those before.
+    _, scaled = running.merge_and_scale(moments, steps, jnp.array([[1.0, -1.0], [2.0, 0.0]]))
+    np.testing.assert_allclose(scaled, [[1 / first, -1 / first], [2 / second, 0.0]], rtol=1e-6)
