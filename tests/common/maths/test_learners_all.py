@@ -65,13 +65,16 @@ def test_a_learner_trains_what_it_has(name: str) -> None:
 
 
 def test_without_features_the_kernel_sees_observations() -> None:
-    """The centre of origin-kernel is the whitened observation: in the first batch the raw one."""
+    """The centre of origin-kernel is an observation as it was seen: standardised by what was seen up to its step."""
     small = learner("origin-kernel")
     batch = random_batch(small, 0)
     state, _ = small.step(small.start, batch)
     centre = np.asarray(state.expansion.centres[0])
-    observations = np.asarray(batch.observation).reshape(-1, 3)
-    assert np.abs(observations - centre).sum(axis=1).min() < 1e-5
+    steps = np.asarray(batch.observation, np.float64)
+    so_far = [steps[: t + 1].reshape(-1, 3) for t in range(len(steps))]
+    # The prior weighs as 1e-4 of an observation, beside 16 in the first step.
+    seen = [(steps[t] - values.mean(axis=0)) / values.std(axis=0) for t, values in enumerate(so_far)]
+    assert np.abs(np.concatenate(seen) - centre).sum(axis=1).min() < 1e-3
 
 
 def test_q_learners_weigh_by_the_lambda_return_and_a_learners_by_the_normalised_advantage() -> None:
