@@ -13,10 +13,10 @@ from collections.abc import Callable
 
 from scripts.docker_test.engine import CannotRun, Engine, some_engine
 from scripts.docker_test.project import build, project
-from scripts.docker_test.story import SETTINGS, Story
+from scripts.docker_test.story import ENVS, SETTINGS, STEPS, Story
 
 IMAGE = "reskpn:test"
-SHORT = {"RESKPN_TOTAL_STEPS": str(20 * 3840), "RESKPN_LOG__CHECKPOINT_EVERY": "10"}
+SHORT = {"RESKPN_TOTAL_STEPS": str(20 * ENVS * STEPS), "RESKPN_ACTORS": "2"}
 
 
 def main() -> int:
@@ -60,9 +60,8 @@ def _all_checks(engine: Engine, say: Callable[[str], None]) -> tuple[int, int]:
 
 def _plain_up(engine: Engine, name: str) -> None:
     """`up` in the foreground, as a person says it: returns with exit code 0 once the run is over."""
-    settings = SETTINGS | SHORT | {"RESKPN_ACTORS": "2"}
-    with project(engine, f"{name}-up", IMAGE=IMAGE, **settings) as made:
-        said = made.compose("up", "--no-build", timeout_s=300.0)
+    with project(engine, f"{name}-up", IMAGE=IMAGE, **SETTINGS | SHORT) as made:
+        said = made.compose("up", "--no-build", timeout_s=600.0)
         assert "finished" in said, said
         assert made.updates() == 20, said
         assert not made.running()

@@ -63,7 +63,7 @@ class Project:
         both = [*self.containers("learner"), *self.containers("actor")]
         return [container for container in both if self.state(container)["Status"] in ("running", "restarting")]
 
-    def wait_for(self, what: str, condition: Callable[[], object], deadline_s: float = 180.0) -> None:
+    def wait_for(self, what: str, condition: Callable[[], object], deadline_s: float = 300.0) -> None:
         """Until the condition holds. AssertionError after the time, with what the containers say."""
         end = time.monotonic() + deadline_s
         while not condition():

@@ -21,16 +21,21 @@ from common.log.reader import LogReader
 from common.wire.messages import Rollout
 from scripts.docker_test.project import Project
 
-SLOTS, UPDATES, ENVS, STEPS = 3, 900, 384, 10
+# Many small updates: they are to last longer than it takes an actor to load and compile, on any machine.
+SLOTS, UPDATES, ENVS, STEPS = 3, 3000, 12, 5
 SETTINGS = {
     "RESKPN_ACTORS": str(SLOTS),
     "RESKPN_SLOT_WAIT_S": "20",
     "RESKPN_NUM_ENVS": str(ENVS),
     "RESKPN_NUM_STEPS": str(STEPS),
     "RESKPN_TOTAL_STEPS": str(UPDATES * ENVS * STEPS),
-    "RESKPN_ALGORITHM__MINIBATCHES": "8",
+    "RESKPN_ALGORITHM__HIDDEN": "[16,16]",
+    "RESKPN_ALGORITHM__MINIBATCHES": "2",
+    "RESKPN_ALGORITHM__EPOCHS": "2",
+    "RESKPN_RKHS__CAPACITY": "64",
+    "RESKPN_LOG__CHECKPOINT_EVERY": "1000",
     "RESKPN_EVALUATION__EPISODES": "8",
-    "RESKPN_EPISODE_LENGTH": "200",
+    "RESKPN_EPISODE_LENGTH": "50",
     "ACTOR_REPLICAS": "2",
 }
 JOINED = re.compile(r"slot (\d) \(generation (\d+)\): native on \S+, incarnation (\w+)")
@@ -100,7 +105,7 @@ class Story:
 
     def the_run_ends(self) -> None:
         """All by itself: every container stops, each with exit code 0, the summary in what the learner said."""
-        self.project.wait_for("the end", lambda: not self.project.running(), deadline_s=600.0)
+        self.project.wait_for("the end", lambda: not self.project.running(), deadline_s=1200.0)
         learners, actors = self.project.containers("learner"), self.project.containers("actor")
         codes = {one[:12]: self.project.state(one)["ExitCode"] for one in [*learners, *actors]}
         assert set(codes.values()) == {0}, f"{codes}\n{self.project.last_words()}"
