@@ -11,7 +11,7 @@ PHYSICS ?= auto
 ARGS ?=
 UPDATE_ARGS ?=
 
-.PHONY: help setup train test lint bench lock clean
+.PHONY: help setup train test test-docker lint bench lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -29,6 +29,9 @@ train: setup  ## train; TASK=hopper LEARNER=ppo STEPS=3e6 ACTORS=1 SEED=0 PHYSIC
 test: setup  ## all tests that fit in a few minutes
 	@$(BIN)/python -m pytest
 
+test-docker: setup  ## docker-compose.yml for real: build, run, kill, scale; exit code 77 where it cannot be run here
+	@$(BIN)/python -m scripts.docker_test
+
 lint: setup  ## style, types and import rules
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
 
@@ -36,11 +39,12 @@ bench: setup  ## speed of the service, where the time goes, and what the RKHS pa
 	@$(BIN)/python -m benchmarks.service $(ARGS)
 	@$(BIN)/python -m benchmarks.update $(UPDATE_ARGS)
 
+lock: COMPILE := $(BIN)/uv pip compile -q --python-version 3.11 --universal --generate-hashes --no-emit-index-url --no-header
 lock:  ## pin the requirements anew
-	@$(BIN)/uv pip compile -q --python-version 3.11 --universal --generate-hashes --no-emit-index-url --no-header \
-		pyproject.toml -o requirements/run.txt
-	@$(BIN)/uv pip compile -q --python-version 3.11 --universal --generate-hashes --no-emit-index-url --no-header \
-		--extra dev -c requirements/run.txt pyproject.toml -o requirements/dev.txt
+	@$(COMPILE) pyproject.toml -o requirements/run.txt
+	@$(COMPILE) --extra dev -c requirements/run.txt pyproject.toml -o requirements/dev.txt
+	@$(COMPILE) --extra cuda -c requirements/run.txt pyproject.toml -o requirements/cuda.txt
+	@printf 'setuptools\nwheel\n' | $(COMPILE) -c requirements/dev.txt - -o requirements/build.txt
 
 clean:  ## remove the environment and caches, not the runs
 	@rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -114,6 +114,8 @@ class RunSettings(Section):
     """environment steps; rounded down to whole updates"""
     actors: Count = 2
     """rollouts an update is made of, and the actor processes that `train` starts"""
+    slot_wait_s: Positive | None = None
+    """seconds until slots that nobody has held yet are left to others; default: never, so that a run can be repeated"""
     num_envs: Count = 2048
     """environments over all actors"""
     num_steps: Count = 10

@@ -28,7 +28,7 @@ _ABLE = {
 
 def _samples(value: Any) -> Any:
     """A whole number of at least 1, or "batch"; one sentence for whatever else there is."""
-    number = whole(value)
+    number = int(value) if isinstance(value, str) and value.strip().isdecimal() else whole(value)
     if value != "batch" and (isinstance(number, bool) or not isinstance(number, int) or number < 1):
         raise ValueError("must be a whole number of at least 1, or 'batch' for the whole batch")
     return number

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from pydantic_settings import CliSettingsSource
@@ -110,6 +111,7 @@ def _add_actor(commands: Any) -> None:
                 connect_timeout_s=given.connect_timeout,
                 stop=stop,
                 say=lambda text: print(text, flush=True),
+                state_file=given.state_file,
             )
 
     text = "collect experience for a learner, from this machine or another"
@@ -123,4 +125,7 @@ def _add_actor(commands: Any) -> None:
         "--connect-timeout", type=float, metavar="S", help="give up when no learner answers in time (default: never)"
     )
     parser.add_argument("--config", metavar="FILE", help="YAML file of settings; its transport section is used")
+    parser.add_argument(
+        "--state-file", type=Path, metavar="FILE", help="keep there what `python -m reskpn.health actor` reads"
+    )
     parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)

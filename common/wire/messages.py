@@ -44,6 +44,9 @@ PerSlot = Annotated[dict[int, int], mapping(integer(), key=decimal)]
 F32TN = Annotated[np.ndarray, array("float32", "T N")]
 BoolTN = Annotated[np.ndarray, array("bool", "T N")]
 
+FINISHED = "finished"
+"""The slug a `JoinReply`'s reason begins with where the run is over."""
+
 
 @dataclass(frozen=True)
 class Join(Message):
@@ -71,6 +74,11 @@ class JoinReply(Message):
     slot: Slot
     generation: Count
     settings: Annotated[str, text(1 << 20)]
+
+    @property
+    def finished(self) -> bool:
+        """Whether the refusal's reason is that the run is over."""
+        return self.reason.startswith(f"{FINISHED}:")
 
 
 _REAL = (

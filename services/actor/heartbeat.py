@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Literal, Self
 
@@ -13,15 +14,22 @@ from services.actor.link import Link, Membership
 
 PERIOD_S = 0.5
 
+NO_POLICY = -1
+"""The version of an actor that has not got a snapshot yet."""
+
 State = Literal["compiling", "waiting", "collecting", "pushing", "evaluating"]
 
 
 class Heart:
     """Sends heartbeats from a thread of its own while it is entered, at once and whenever the work changes kind."""
 
-    def __init__(self, link: Link, member: Membership) -> None:
+    def __init__(
+        self, link: Link, member: Membership, keep: Callable[[str, int], None] = lambda state, version: None
+    ) -> None:
+        """`keep(state, version)` is told with each heartbeat, for this machine's own checks."""
         self._link = link
         self._member = member
+        self._keep = keep
         self._lock = threading.Lock()
         self._state: State = "compiling"
         self._since_s = time.monotonic()
@@ -30,7 +38,7 @@ class Heart:
         self._first_step_s: float | None = None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
-        self.version = 0
+        self.version = NO_POLICY
 
     def state(self, state: State) -> None:
         """What the actor does from now on. The end of compiling is told at once: work depends on it."""
@@ -76,10 +84,11 @@ class Heart:
                 slot=self._member.slot,
                 incarnation=self._member.incarnation,
                 state=self._state,
-                version=self.version,
+                version=max(0, self.version),
                 env_steps=self._env_steps,
                 steps_per_s=(self._env_steps - self._first_env_steps) / elapsed if elapsed else 0.0,
                 state_s=now - self._since_s,
                 t_ns=time.time_ns(),
             )
+        self._keep(beat.state, self.version)
         self._link.beat(beat)

@@ -43,15 +43,17 @@ def join(
     hardware: dict[str, str],
     stop: threading.Event,
     waiting: Callable[[str], None],
+    asked: Callable[[str], None] = lambda state: None,
 ) -> Membership | None:
-    """Ask for a slot until there is one; None where `stop` was set first.
+    """Ask for a slot until there is one; None where `stop` was set first, or the run is over.
 
     Args:
         run: the run to work for, or "" for whichever the learner has.
         waiting: told why there is none yet, each time the reason changes.
+        asked: told "alone" or "standing by" after every question that got no slot.
 
     Raises:
-        RefusedError: the learner will never take this actor (another schema or run, finished).
+        RefusedError: the learner will never take this actor (another schema or run).
     """
     told = ""
     while not stop.is_set():
@@ -61,16 +63,20 @@ def join(
         try:
             reply = JoinReply.decode(session.ask(JOIN, question.encode(), JOIN_TIMEOUT_S))
         except SessionError:
-            reason = "no learner answers yet"
+            state, reason = "alone", "no learner answers yet"
         except CodecError as error:
             raise RefusedError(f"the learner speaks another protocol: {error}") from None
         else:
             if reply.accepted:
                 settings = parse_json(reply.settings)
                 return Membership(reply.run, reply.slot, reply.generation, incarnation, settings)
+            if reply.finished:
+                waiting(reply.reason)
+                return None
             if reply.final:
                 raise RefusedError(f"the learner does not take this actor: {reply.reason}")
-            reason = reply.reason
+            state, reason = "standing by", reply.reason
+        asked(state)
         if reason != told:
             waiting(reason)
             told = reason
@@ -98,7 +104,7 @@ class Link:
         """The newest orders once they differ from those given, or None after the time.
 
         Raises:
-            Lost: the learner is gone.
+            Lost: the learner is gone, and not because the run is over.
         """
 
         def there() -> bool:
@@ -106,7 +112,8 @@ class Link:
 
         with self._changed:
             found = self._changed.wait_for(there, timeout_s)
-            if self._learner_gone:
+            over = self._orders is not None and self._orders.finished
+            if self._learner_gone and not over:
                 raise Lost("the learner is gone")
             return self._orders if found else None
 

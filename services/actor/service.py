@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import jax
 
@@ -16,8 +17,9 @@ from common.settings import TransportSettings
 from common.wire.messages import Evaluation, Orders, Rollout
 from common.wire.session import Session, open_session
 from services.actor.collector import Collector, Place, PolicyReader, evaluate
-from services.actor.heartbeat import Heart
+from services.actor.heartbeat import NO_POLICY, Heart
 from services.actor.link import Link, Lost, Membership, join
+from services.actor.state_file import state_keeper
 
 ORDERS_S = 0.5
 
@@ -31,6 +33,7 @@ def run_actor(
     connect_timeout_s: float | None,
     stop: threading.Event,
     say: Callable[[str], None],
+    state_file: Path | None = None,
 ) -> int:
     """Work for the learner at `transport.endpoint` until the run is over or `stop` is set; returns the exit code 0.
 
@@ -40,11 +43,15 @@ def run_actor(
         threads: threads of the native engine, 0 for one a core.
         connect_timeout_s: how long to wait for a learner; None for ever.
         say: told what a person may want to know.
+        state_file: where `python -m reskpn.health actor` finds what this actor does; None for nowhere.
 
     Raises:
         RefusedError: the learner will not have this actor.
         SessionError: no learner within the time.
+        SettingsError: the state file cannot be written.
     """
+    keep = state_keeper(state_file)
+    keep("starting", NO_POLICY)
     prepare_jax()
     # A callback into the physics engine must not wait for a computation queued behind it.
     jax.config.update("jax_cpu_enable_async_dispatch", False)
@@ -58,13 +65,22 @@ def run_actor(
             max_message_size=transport.max_message_bytes,
             lease_s=transport.lease_s,
         ) as session:
-            member = join(session, run=run, physics=engine, versions=versions, hardware=machine, stop=stop, waiting=say)
+            member = join(
+                session,
+                run=run,
+                physics=engine,
+                versions=versions,
+                hardware=machine,
+                stop=stop,
+                waiting=say,
+                asked=lambda state: keep(state, NO_POLICY),
+            )
             if member is None:
                 return 0
             physics = engine if member.settings.physics == "auto" else member.settings.physics
             say(f"joined {member.run} as slot {member.slot} (generation {member.generation}) with {physics} physics")
             try:
-                finished = Life(session, member, transport, engine, threads, stop).live()
+                finished = Life(session, member, transport, engine, threads, stop, keep).live()
             except (Lost, SessionError) as error:
                 say(f"{error}; joining again")
                 connect_timeout_s = None  # there was a learner: wait for the next one for ever
@@ -86,6 +102,7 @@ class Life:
         engine: str,
         threads: int,
         stop: threading.Event,
+        keep: Callable[[str, int], None],
     ) -> None:
         settings = member.settings
         if settings.physics == "auto":
@@ -95,7 +112,7 @@ class Life:
         self._threads = threads
         self._stop = stop
         self._link = Link(session, member, push_timeout_s=transport.push_timeout_s)
-        self._heart = Heart(self._link, member)
+        self._heart = Heart(self._link, member, keep)
         self._policy: Policy | None = None
         self._version = -1
         self._made = 0

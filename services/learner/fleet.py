@@ -3,7 +3,7 @@
 A slot is a place in the batch. It is given to one incarnation (one life of an actor process) at a time. In sync mode
 an update takes exactly `slots` rollouts of the current version: one from each slot, or, while a slot has lost its
 actor, another from those that are left. A slot that nobody has held yet is waited for, so that a run's first batch,
-and with it the whole run, is the same whichever actor comes first.
+and with it the whole run, is the same whichever actor comes first; unless `excuse` says that the wait is over.
 
 Nothing here knows of threads, clocks or Zenoh: the service holds a lock around every call and says what time it is.
 """
@@ -44,10 +44,14 @@ class Member:
 
 @dataclass
 class Slot:
-    """A place in the batch and who holds it, if anyone; `given` counts how often it was given out."""
+    """A place in the batch and who holds it, if anyone; `given` counts how often it was given out.
+
+    `awaited`: the batch waits for the slot's first actor, and for it to compile.
+    """
 
     number: int
     given: int = 0
+    awaited: bool = True
     member: Member | None = None
 
 
@@ -98,6 +102,18 @@ class Fleet:
         raise RefusedError(
             f"all {len(self._slots)} slots are taken; this actor stands by and takes over when one is freed"
         )
+
+    def excuse(self) -> list[int]:
+        """Wait no longer for the slots that nobody has held yet: their work goes to those that are here.
+
+        Returns the slots that were waited for until now.
+        """
+        excused = [slot for slot in self._slots if slot.awaited and not slot.given]
+        for slot in excused:
+            slot.awaited = False
+        if excused:
+            self._share_out()
+        return [slot.number for slot in excused]
 
     def lose(self, incarnation: str) -> Slot | None:
         """Free the slot of an actor that is gone; None where it held none. Its accepted rollouts stay good."""
@@ -245,8 +261,8 @@ class Fleet:
     def _share_out(self) -> None:
         """Hand the work of slots without an actor to those that have one.
 
-        A slot counts as manned while its first actor has yet to come, and while an actor is in it, unless that is a
-        returning one that still compiles: it is used again from when it is ready.
+        A slot counts as manned while its first actor has yet to come and is waited for, and while an actor is in it,
+        unless that is a late or a returning one that still compiles: it is used from when it is ready.
         """
         if self._episodes and self._evaluator is None:
             ready = [slot.number for slot in self._slots if slot.member is not None and slot.member.ready]
@@ -263,5 +279,5 @@ class Fleet:
 
 def _manned(slot: Slot) -> bool:
     if slot.member is None:
-        return slot.given == 0
-    return slot.member.generation == 0 or slot.member.ready
+        return slot.given == 0 and slot.awaited
+    return (slot.member.generation == 0 and slot.awaited) or slot.member.ready

@@ -17,6 +17,7 @@ from common.settings import RunSettings
 from common.tasks import TASKS
 from common.wire.keys import JOIN, Keys, parse_alive
 from common.wire.messages import (
+    FINISHED,
     Evaluation,
     Heartbeat,
     Join,
@@ -32,6 +33,10 @@ from services.learner.fleet import ACCEPTED, Fleet
 
 SILENT_S = 30.0
 """An actor that sends no heartbeat for so long has lost its slot, whatever its connection looks like."""
+
+
+ASK_AGAIN_S = 1.0
+"""An actor that was turned away has asked again by then."""
 
 
 class Hub:
@@ -67,6 +72,8 @@ class Hub:
         self._digest = ""
         self._evaluation: Evaluation | None = None
         self._malformed: Counter[str] = Counter()
+        self._opened_s = time.monotonic()
+        self._turned_away_s = -ASK_AGAIN_S
         # to here.
         self._orders = session.publisher(self._keys.policy_notify, express=True, high_priority=True)
         self._metrics = session.publisher(self._keys.metrics)
@@ -82,6 +89,7 @@ class Hub:
         session.watch_alive(keys.all_alive, self._on_alive)
         session.declare_alive(keys.alive("learner", "learner"))
         session.serve(JOIN, self._on_join)
+        self._opened_s = time.monotonic()
 
     # -- for the learner's loop ----------------------------------------------------------------------------
 
@@ -131,6 +139,18 @@ class Hub:
         for incarnation in silent:
             self._lose(incarnation, f"sent no heartbeat for {SILENT_S:.0f} s")
 
+    def excuse_absent(self) -> None:
+        """Leave the work of slots that nobody has held to others, once the time that they are waited for is over."""
+        wait_s = self._settings.slot_wait_s
+        if wait_s is None or time.monotonic() - self._opened_s < wait_s:
+            return
+        with self._changed:
+            excused = self._fleet.excuse()
+        if excused:
+            slots = ", ".join(map(str, excused))
+            self._on_event("info", "slots_excused", f"no actor after {wait_s:g} s in slot {slots}: others do its work")
+            self.announce()
+
     def publish_metrics(self, data: bytes) -> None:
         self._metrics.put(data)
 
@@ -150,6 +170,11 @@ class Hub:
         with self._changed:
             return len(self._fleet.members())
 
+    def standing_by(self) -> bool:
+        """Whether actors wait for a slot: they ask again and again, and have yet to hear that the run is over."""
+        with self._changed:
+            return time.monotonic() - self._turned_away_s < ASK_AGAIN_S
+
     def refusals(self) -> dict[str, int]:
         """Messages that were not used, by reason."""
         with self._changed:
@@ -165,6 +190,8 @@ class Hub:
             self._count_malformed(error)
             reply = self._no(str(error), final=True)
         except RefusedError as error:
+            with self._changed:
+                self._turned_away_s = time.monotonic()
             reply = self._no(str(error), final=False)
         request.reply(reply.encode())
 
@@ -174,7 +201,7 @@ class Hub:
         physics = join.physics if self._settings.physics == "auto" else self._settings.physics
         with self._changed:
             if self._fleet.finished:
-                return self._no(f"run {self._run!r} has finished", final=True)
+                return self._no(f"{FINISHED}: nothing is left to do for run {self._run!r}", final=True)
             slot = self._fleet.join(join.incarnation, physics, time.monotonic())
             generation = slot.given - 1
         self._on_event(

@@ -107,7 +107,7 @@ class Run:
         deadline = time.monotonic() + FAREWELL_S
         while True:
             self._hub.finish()
-            if not self._hub.actors() or time.monotonic() > deadline:
+            if not (self._hub.actors() or self._hub.standing_by()) or time.monotonic() > deadline:
                 return
             time.sleep(0.1)
 
@@ -170,6 +170,7 @@ class Run:
     def _tick(self, phase: str, text: str) -> None:
         self._hub.announce()
         self._hub.drop_silent()
+        self._hub.excuse_absent()
         self._show(phase, text)
 
     def _publish(self) -> bytes:

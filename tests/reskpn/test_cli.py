@@ -324,7 +324,7 @@ def test_the_address_may_come_from_the_environment(
 @pytest.fixture
 def refusing_learner(endpoint: str) -> Iterator[None]:
     """Answers every actor that it is not wanted, for good."""
-    reply = JoinReply(False, "run 'r' has finished", True, "r", 0, 0, "").encode()
+    reply = JoinReply(False, "this learner runs 'r', not 'q'", True, "r", 0, 0, "").encode()
     with open_session(listen=[endpoint], max_message_size=1 << 20) as session:
         session.serve(JOIN, lambda request: request.reply(reply))
         yield
@@ -333,7 +333,7 @@ def refusing_learner(endpoint: str) -> Iterator[None]:
 def test_an_actor_that_is_refused(said: Said, endpoint: str, refusing_learner: None) -> None:
     """Exit code 4, with the learner's reason."""
     code, text = said("actor", "--endpoint", endpoint, "--physics", "native", "--connect-timeout", "15")
-    assert (code, text) == (4, "the learner does not take this actor: run 'r' has finished")
+    assert (code, text) == (4, "the learner does not take this actor: this learner runs 'r', not 'q'")
 
 
 def test_signals_are_put_back(said: Said, endpoint: str) -> None:

@@ -24,6 +24,7 @@ from common.wire.session import Session
 from services.actor import service
 from services.actor.collector import Experience, Place
 from services.actor.service import run_actor
+from services.actor.state_file import read_state
 from services.learner.hub import Hub
 
 DEADLINE_S = 15.0
@@ -177,6 +178,43 @@ def test_two_actors_share_a_run(
     assert sorted(place.slot for place, _, version in stand_in.made if version == 0.0) == [0, 1]
     learner.hub.finish()
     assert [one.result(DEADLINE_S) for one in both] == [0, 0]
+
+
+def test_an_actor_keeps_what_it_does_in_a_file(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn], until: Callable[..., None], tmp_path: Path
+) -> None:
+    """Standing by, no policy while it compiles, then the version of the one it has."""
+    learner = learners(actors=1, num_envs=2)
+    learner.hub._fleet.join("first", "native", 0.0)
+    stand_in.ready.clear()
+    file = tmp_path / "actor.json"
+    done = actors(state_file=file)
+
+    def kept() -> tuple[str, int]:
+        found = read_state(file)
+        return ("", 0) if found is None else (found.state, found.version)
+
+    until(lambda: kept() == ("standing by", -1))
+    learner.hub._lose("first", "is gone")
+    until(lambda: kept() == ("compiling", -1))
+    stand_in.ready.set()
+    assert learner.batch() == [0.0]
+    until(lambda: kept() == ("waiting", 0))
+    learner.hub.finish()
+    assert done.result(DEADLINE_S) == 0
+
+
+def test_one_that_stands_by_to_the_end_ends_well(
+    learners: Callable[..., Learner], actors: Any, until: Callable[..., None]
+) -> None:
+    """Nothing failed: it says that nothing is left to do."""
+    learner = learners(actors=1, num_envs=2)
+    learner.hub._fleet.join("first", "native", 0.0)
+    done = actors()
+    until(learner.hub.standing_by)
+    learner.hub.finish()
+    assert done.result(DEADLINE_S) == 0
+    assert actors.said[-1] == f"finished: nothing is left to do for run {RUN!r}"
 
 
 def test_an_actor_alone_does_the_work_of_two(

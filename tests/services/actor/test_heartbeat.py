@@ -14,7 +14,7 @@ from samples import RUN, settings
 from common.errors import SessionError
 from common.wire.messages import Heartbeat
 from services.actor import heartbeat
-from services.actor.heartbeat import Heart
+from services.actor.heartbeat import NO_POLICY, Heart
 from services.actor.link import Membership
 
 DEADLINE_S = 15.0
@@ -84,6 +84,18 @@ def test_being_ready_is_told_at_once(heart: Heart, beats: Beats, still: None) ->
         heart.state("collecting")
         with pytest.raises(Empty):
             beats.heard.get_nowait()
+
+
+def test_what_is_beaten_is_also_kept(beats: Beats, still: None) -> None:
+    """For checks on the actor's own machine, where no policy is told from policy 0."""
+    kept: list[tuple[str, int]] = []
+    link: Any = beats
+    with Heart(link, MEMBER, lambda state, version: kept.append((state, version))) as heart:
+        assert beats.next().version == 0
+        heart.version = 0
+        heart.state("waiting")
+        assert beats.next().version == 0
+    assert kept == [("compiling", NO_POLICY), ("waiting", 0)]
 
 
 def test_none_is_sent_after_the_end(heart: Heart, beats: Beats, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -141,9 +141,30 @@ def test_an_actor_that_stands_by_asks_again_under_new_names(sessions: Sessions, 
 def test_a_final_refusal_ends_it(sessions: Sessions, stop: threading.Event) -> None:
     """With the learner's reason."""
     learner = sessions(listen=True)
-    learner.serve(JOIN, Script(reply(False, "run 'run-1' has finished", final=True)))
-    with pytest.raises(RefusedError, match="the learner does not take this actor: run 'run-1' has finished"):
+    learner.serve(JOIN, Script(reply(False, "this learner runs 'b', not 'a'", final=True)))
+    with pytest.raises(RefusedError, match="the learner does not take this actor: this learner runs 'b', not 'a'"):
         ask_to_join(sessions(), stop)
+
+
+def test_a_run_that_is_over_is_no_refusal(sessions: Sessions, stop: threading.Event) -> None:
+    """An actor that comes too late, or stood by to the end, has nothing to do and no reason to fail."""
+    learner = sessions(listen=True)
+    learner.serve(JOIN, Script(reply(False, "full"), reply(False, "finished: nothing is left to do", final=True)))
+    told: list[str] = []
+    assert ask_to_join(sessions(), stop, told) is None
+    assert told[-2:] == ["full", "finished: nothing is left to do"]
+
+
+def test_every_question_without_a_slot_is_told(sessions: Sessions, stop: threading.Event) -> None:
+    """Also those with the same reason, so that somebody can see that the actor lives."""
+    learner = sessions(listen=True)
+    learner.serve(JOIN, Script(reply(False, "full"), reply(False, "full"), reply(True)))
+    states: list[str] = []
+    member = join(
+        sessions(), run=RUN, physics="native", versions={}, hardware={}, stop=stop, waiting=str, asked=states.append
+    )
+    assert member is not None
+    assert [state for state in states if state != "alone"] == ["standing by", "standing by"]
 
 
 def test_a_learner_of_another_schema(sessions: Sessions, stop: threading.Event) -> None:
@@ -371,6 +392,20 @@ def test_a_learner_that_is_gone_is_noticed(linked: Linked) -> None:
         learner.close()
         with pytest.raises(Lost, match="the learner is gone"):
             waiting.result(DEADLINE_S)
+
+
+def test_a_learner_that_leaves_after_the_run_is_not_missed(linked: Linked, until: Callable[..., None]) -> None:
+    """Its last word counts for an actor that was busy, compiling for one, when it was said."""
+    learner, link = linked()
+    said, last = learner.publisher(KEYS.policy_notify), orders(finished=True)
+
+    def is_heard() -> bool:
+        said.put(last.encode())
+        return link.orders(newer_than=None, timeout_s=0.05) == last
+
+    until(is_heard)
+    learner.close()
+    assert link.orders(newer_than=last, timeout_s=DEADLINE_S) == last
 
 
 def test_a_learner_that_was_gone_for_a_moment_was_gone(sessions: Sessions, until: Callable[..., None]) -> None:

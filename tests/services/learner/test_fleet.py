@@ -296,6 +296,32 @@ def test_a_first_actor_that_still_compiles_is_waited_for() -> None:
     assert orders(fleet).collect == {0: 1, 1: 1}
 
 
+def test_a_slot_never_held_is_left_to_the_others_once_excused() -> None:
+    """Slots 1 and 2 of 3 have had no actor when the wait ends: slot 0 makes 3 rollouts. Excused once, told once."""
+    fleet = make_fleet(3, "a")
+    assert fleet.excuse() == [1, 2]
+    assert orders(fleet).collect == {0: 3}
+    assert fleet.excuse() == []
+
+
+def test_one_that_comes_late_is_used_when_it_is_ready() -> None:
+    """Nobody waits for it to compile; then the work is shared: 2 for slot 0, which also does slot 2's, 1 for slot 1."""
+    fleet = make_fleet(3, "a")
+    fleet.excuse()
+    returned(fleet, 1, "b")
+    assert orders(fleet).collect == {0: 3, 1: 1}
+    fleet.heard(heartbeat(1, "b"), 0.0)
+    assert orders(fleet).collect == {0: 2, 1: 1}
+
+
+def test_an_actor_that_came_in_time_is_not_excused() -> None:
+    """It holds its slot and still compiles when the wait ends: its first rollout is waited for."""
+    fleet = make_fleet(2, "a")
+    fleet.join("b", "native", 0.0)
+    assert fleet.excuse() == []
+    assert orders(fleet).collect == {0: 1, 1: 1}
+
+
 def test_the_work_of_a_lost_actor_is_handed_to_the_others() -> None:
     """Orphaned slots are shared out in turn, beginning with the lowest slot that has an actor."""
     fleet = make_fleet(5, *"abcde")

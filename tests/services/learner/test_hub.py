@@ -82,7 +82,53 @@ def test_a_finished_run_is_refused_for_good(learners: Callable[..., Learner], ac
     learner.hub.finish()
     reply = actor.join()
     assert (reply.accepted, reply.final) == (False, True)
-    assert reply.reason == "run 'run-1' has finished"
+    assert reply.finished
+    assert reply.reason == "finished: nothing is left to do for run 'run-1'"
+
+
+def test_who_stands_by_is_known_until_it_has_asked_again(
+    learners: Callable[..., Learner],
+    actors: Callable[[], Actor],
+    until: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """So that a learner that leaves can wait for it to hear that the run is over. A wrong run is no standing by."""
+    monkeypatch.setattr(hub_module, "ASK_AGAIN_S", 0.2)
+    learner, actor = learners(actors=1, num_envs=2), actors()
+    actor.join("a")
+    actor.join("b", run="another")
+    assert not learner.hub.standing_by()
+    actor.join("b")
+    assert learner.hub.standing_by()
+    until(lambda: not learner.hub.standing_by())
+
+
+def test_slots_nobody_came_for_are_excused_after_their_time(
+    learners: Callable[..., Learner], actors: Callable[[], Actor], until: Callable[..., None]
+) -> None:
+    """The one that is there is told to do the work, and the user is told why."""
+    learner, actor = learners(slot_wait_s=0.001), actors()
+    heard: list[Orders] = []
+    actor.session.subscribe(KEYS.policy_notify, lambda key, data: heard.append(Orders.decode(data)))
+    actor.join("a")
+    learner.events.get(timeout=DEADLINE_S)
+    until(lambda: (learner.hub.announce(), bool(heard))[1])
+    learner.hub.excuse_absent()
+    until(lambda: heard[-1].collect == {0: 2})
+    text = "no actor after 0.001 s in slot 1: others do its work"
+    assert learner.events.get(timeout=DEADLINE_S) == ("info", "slots_excused", text)
+
+
+@pytest.mark.parametrize("wait_s", [None, 3600.0])
+def test_slots_are_waited_for_until_then(
+    learners: Callable[..., Learner], actors: Callable[[], Actor], wait_s: float | None
+) -> None:
+    """For ever, if no time is set."""
+    learner, actor = learners(slot_wait_s=wait_s), actors()
+    actor.join("a")
+    learner.hub.excuse_absent()
+    assert "slot 1 has no actor yet" in learner.hub.waiting_for()
+    assert [learner.events.get(timeout=DEADLINE_S)[1], learner.events.empty()] == ["actor_joined", True]
 
 
 @pytest.mark.parametrize(("asked", "found"), [("auto", {"mjx"}), ("native", {"native"})])

@@ -1,0 +1,35 @@
+# One image for learner and actors. Both need JAX, MuJoCo and Zenoh, which are nearly all of its size: an image each
+# would be two names for the same layers.
+ARG BASE_IMAGE=python:3.11-slim-bookworm
+
+FROM ${BASE_IMAGE} AS build
+# run: for a CPU. cuda: with JAX's CUDA plugin as well.
+ARG REQUIREMENTS=run
+ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
+WORKDIR /build
+# Two environments: pip and what builds our wheel stay behind in this stage.
+RUN python3 -m venv tools && python3 -m venv --without-pip /opt/venv
+COPY requirements requirements
+RUN tools/bin/pip --python /opt/venv/bin/python install --require-hashes -r requirements/${REQUIREMENTS}.txt
+RUN tools/bin/pip install --require-hashes -r requirements/build.txt
+COPY pyproject.toml README.md ./
+COPY common common
+COPY services services
+COPY reskpn reskpn
+# Beside the environment, not in it: a change of the code leaves the large layer as it is.
+RUN tools/bin/pip wheel --no-deps --no-build-isolation --wheel-dir wheels . \
+    && tools/bin/pip --python /opt/venv/bin/python install --no-deps --no-index --target /opt/reskpn wheels/*.whl
+
+FROM ${BASE_IMAGE}
+RUN useradd --uid 10001 --user-group --no-create-home --home-dir /data reskpn \
+    && install -d -o reskpn -g reskpn /data /data/runs /cache
+COPY --from=build /opt/venv /opt/venv
+COPY --from=build /opt/reskpn /opt/reskpn
+ENV PATH=/opt/reskpn/bin:/opt/venv/bin:$PATH \
+    PYTHONPATH=/opt/reskpn \
+    PYTHONUNBUFFERED=1 \
+    RESKPN_CACHE_DIR=/cache
+USER reskpn
+WORKDIR /data
+ENTRYPOINT ["reskpn"]
+CMD ["--help"]

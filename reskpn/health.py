@@ -1,0 +1,113 @@
+"""`python -m reskpn.health learner | actor`: whether that service of this machine does its work.
+
+Run every few seconds beside the service, so it is no part of `reskpn`, whose settings alone take a second to load.
+"""
+
+from __future__ import annotations
+
+import argparse
+import secrets
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from common.errors import ReskpnError, SessionError
+from services.actor.state_file import OLD_S, read_state
+
+if TYPE_CHECKING:
+    from common.wire.messages import JoinReply
+    from common.wire.session import Session
+
+NO_RUN = "health-check"
+"""The run that is asked for: none is called so, and a question for another run leaves no trace at the learner."""
+
+MESSAGE_BYTES = 4 << 20
+RETRY_S = 0.05
+
+
+@dataclass(frozen=True)
+class Health:
+    """Whether all is well, and a sentence on it."""
+
+    good: bool
+    text: str
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print how the service is; returns 0 where it does its work, 1 where not, 2 for a file that is not an actor's."""
+    parser = argparse.ArgumentParser(
+        prog="python -m reskpn.health",
+        description="Say whether a learner answers those who want to join, or an actor has a policy to act with.",
+        epilog="exit codes: 0 it is so, 1 it is not, 2 what was given is not possible",
+    )
+    services = parser.add_subparsers(dest="service", required=True)
+    learner = services.add_parser("learner")
+    learner.add_argument("--endpoint", default="tcp/127.0.0.1:7447", metavar="ADDRESS", help="default: %(default)s")
+    learner.add_argument("--timeout", type=float, default=5.0, metavar="S", help="how long to wait (%(default)s)")
+    actor = services.add_parser("actor")
+    actor.add_argument("--state-file", type=Path, required=True, metavar="FILE", help="as it was given to the actor")
+    given = parser.parse_args(arguments)
+    try:
+        if given.service == "learner":
+            health = learner_health(given.endpoint, given.timeout)
+        else:
+            health = actor_health(given.state_file)
+    except ReskpnError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    print(health.text)
+    return 0 if health.good else 1
+
+
+def learner_health(endpoint: str, timeout_s: float) -> Health:
+    """Whether the learner at the endpoint answers those who want to join, asked as an actor asks."""
+    from common.wire.session import open_session
+
+    deadline = time.monotonic() + timeout_s
+    try:
+        with open_session(connect=[endpoint], connect_timeout_s=timeout_s, max_message_size=MESSAGE_BYTES) as session:
+            reply = _ask(session, deadline)
+    except ReskpnError as error:
+        return Health(False, f"the learner takes no joins: {error}")
+    return Health(True, f"the learner answers joins for run {reply.run}")
+
+
+def actor_health(state_file: Path) -> Health:
+    """Whether the actor that keeps this file has a policy to act with, or stands by for a slot.
+
+    Raises:
+        SettingsError: the file is not an actor's.
+    """
+    found = read_state(state_file)
+    if found is None:
+        return Health(False, f"no actor has written {state_file} yet")
+    age_s = time.time() - found.time_s
+    if age_s > OLD_S:
+        return Health(False, f"the actor gave its last sign of life {age_s:.0f} s ago ({found.state})")
+    if found.state == "standing by":
+        return Health(True, "the actor stands by: all slots are taken")
+    if found.version < 0:
+        return Health(False, f"the actor has no policy yet ({found.state})")
+    return Health(True, f"the actor has policy {found.version} ({found.state})")
+
+
+def _ask(session: Session, deadline: float) -> JoinReply:
+    """The answer to a join. Asked again while nobody serves it: what a peer serves is known shortly after it is."""
+    from common.wire.keys import JOIN
+    from common.wire.messages import Join, JoinReply
+
+    question = Join(NO_RUN, "actor", secrets.token_hex(8), {}, {}, "native").encode()
+    while True:
+        try:
+            return JoinReply.decode(session.ask(JOIN, question, max(RETRY_S, deadline - time.monotonic())))
+        except SessionError:
+            if time.monotonic() + RETRY_S > deadline:
+                raise
+            time.sleep(RETRY_S)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""`make test-docker`: docker-compose.yml for real. See `__main__`."""

@@ -1,0 +1,71 @@
+"""Build the image, run docker-compose.yml through its story, and count: `python -m scripts.docker_test`.
+
+Exit code 0 where all passed, 1 where something failed, 77 where no Docker engine is to be had here.
+"""
+
+from __future__ import annotations
+
+import secrets
+import sys
+import time
+import traceback
+from collections.abc import Callable
+
+from scripts.docker_test.engine import CannotRun, Engine, some_engine
+from scripts.docker_test.project import build, project
+from scripts.docker_test.story import ENVS, SETTINGS, STEPS, Story
+
+IMAGE = "reskpn:test"
+SHORT = {"RESKPN_TOTAL_STEPS": str(20 * ENVS * STEPS), "RESKPN_ACTORS": "2"}
+
+
+def main() -> int:
+    began_s = time.monotonic()
+
+    def say(text: str) -> None:
+        print(f"[{time.monotonic() - began_s:4.0f} s] {text}", flush=True)
+
+    try:
+        with some_engine() as engine:
+            say("an engine answers; building the image")
+            build(engine, IMAGE)
+            say("built")
+            passed, failed = _all_checks(engine, say)
+    except CannotRun as error:
+        print(f"test-docker: cannot run here: {error}", flush=True)
+        return 77
+    print(f"{passed} passed, {failed} failed")
+    return 1 if failed else 0
+
+
+def _all_checks(engine: Engine, say: Callable[[str], None]) -> tuple[int, int]:
+    """How many passed and failed; after a failure the steps that follow it are left out."""
+    name = f"reskpn-test-{secrets.token_hex(3)}"
+    with project(engine, name, IMAGE=IMAGE, **SETTINGS) as made:
+        story = Story(made)
+        steps = story.steps() | {"up in the foreground ends with exit code 0": lambda: _plain_up(engine, name)}
+        for passed, (what, step) in enumerate(steps.items()):
+            try:
+                step()
+            except Exception:
+                say(f"FAILED: {what}")
+                traceback.print_exc()
+                say(made.last_words(lines=30))
+                return passed, 1
+            say(f"ok: {what}")
+        size = int(made.docker("image", "inspect", "-f", "{{.Size}}", IMAGE))
+        say(f"image {size / 1e9:.2f} GB; first update {story.first_update_s:.1f} s after up, with an empty cache")
+    return len(steps), 0
+
+
+def _plain_up(engine: Engine, name: str) -> None:
+    """`up` in the foreground, as a person says it: returns with exit code 0 once the run is over."""
+    with project(engine, f"{name}-up", IMAGE=IMAGE, **SETTINGS | SHORT) as made:
+        said = made.compose("up", "--no-build", timeout_s=600.0)
+        assert "finished" in said, said
+        assert made.updates() == 20, said
+        assert not made.running()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,183 @@
+"""What is done to one run in containers, step by step, and what must come of it.
+
+Three slots and two actors; one actor is killed, the fleet is scaled to three, one process crashes, the run ends.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from common.log.reader import LogReader
+from common.wire.messages import Rollout
+from scripts.docker_test.project import Project
+
+# Many small updates: they are to last longer than it takes an actor to load and compile, on any machine.
+SLOTS, UPDATES, ENVS, STEPS = 3, 3000, 12, 5
+SETTINGS = {
+    "RESKPN_ACTORS": str(SLOTS),
+    "RESKPN_SLOT_WAIT_S": "20",
+    "RESKPN_NUM_ENVS": str(ENVS),
+    "RESKPN_NUM_STEPS": str(STEPS),
+    "RESKPN_TOTAL_STEPS": str(UPDATES * ENVS * STEPS),
+    "RESKPN_ALGORITHM__HIDDEN": "[16,16]",
+    "RESKPN_ALGORITHM__MINIBATCHES": "2",
+    "RESKPN_ALGORITHM__EPOCHS": "2",
+    "RESKPN_RKHS__CAPACITY": "64",
+    "RESKPN_LOG__CHECKPOINT_EVERY": "1000",
+    "RESKPN_EVALUATION__EPISODES": "8",
+    "RESKPN_EPISODE_LENGTH": "50",
+    "ACTOR_REPLICAS": "2",
+}
+JOINED = re.compile(r"slot (\d) \(generation (\d+)\): native on \S+, incarnation (\w+)")
+
+
+@dataclass
+class Story:
+    """One run; the steps follow each other."""
+
+    project: Project
+    killed: str = ""
+    crashed: str = ""
+    began_s: float = 0.0
+    log: Logged = field(init=False)
+
+    def steps(self) -> dict[str, Callable[[], None]]:
+        """By what they show."""
+        return {
+            "first updates with two of three actors": self.first_updates,
+            "learner and two actors are healthy": self.two_actors_are_healthy,
+            "one actor killed, the other does its work": self.one_is_killed,
+            "scaled to three during the run": self.scaled_to_three,
+            "one process crashes and is started again": self.one_crashes,
+            "the run ends by itself, all with exit code 0": self.the_run_ends,
+            "summary": self.the_summary,
+            "log": self.the_log,
+        }
+
+    def first_updates(self) -> None:
+        """Up with two actors, the run begins, without the third slot's actor."""
+        self.began_s = time.time()
+        self.project.compose("up", "-d", "--no-build")
+        self.project.wait_for("the first update", lambda: self.project.updates() >= 1)
+        assert len(self.project.containers("actor")) == 2
+        assert "no actor after 20 s in slot 2: others do its work" in self.project.learner_words()
+
+    def two_actors_are_healthy(self) -> None:
+        """And the learner is: it answers joins, they have a policy."""
+        everyone = [*self.project.containers("learner"), *self.project.containers("actor")]
+        self.project.wait_for("health", lambda: {self.project.health(one) for one in everyone} == {"healthy"})
+
+    def one_is_killed(self) -> None:
+        """As by an operator, who does not want it back: the other one does its work."""
+        self.killed = self.project.containers("actor")[0]
+        self.project.docker("kill", self.killed)
+        self.project.wait_for("its loss", lambda: "is gone" in self.project.learner_words())
+        before = self.project.updates()
+        self.project.wait_for("updates after it", lambda: self.project.updates() > before)
+        assert self.project.state(self.killed)["Status"] == "exited"
+
+    def scaled_to_three(self) -> None:
+        """During the run, which goes on in the same learner; the one that was killed is among them again."""
+        learner = self.project.containers("learner")
+        self.project.compose("up", "-d", "--no-build", "--scale", "actor=3")
+        actors = self.project.containers("actor")
+        assert len(actors) == 3
+        self.project.wait_for("three actors", lambda: len(self._joined()) == 4)
+        self.project.wait_for("health of three", lambda: {self.project.health(one) for one in actors} == {"healthy"})
+        assert self.project.containers("learner") == learner
+
+    def one_crashes(self) -> None:
+        """It is started again by the engine, and gets a slot."""
+        self.crashed = next(one for one in self.project.containers("actor") if one != self.killed)
+        os.kill(int(self.project.state(self.crashed)["Pid"]), signal.SIGKILL)
+        self.project.wait_for("a restart", lambda: self.project.state(self.crashed)["RestartCount"] == 1)
+        self.project.wait_for("its return", lambda: len(self._joined()) == 5)
+
+    def the_run_ends(self) -> None:
+        """All by itself: every container stops, each with exit code 0, the summary in what the learner said."""
+        self.project.wait_for("the end", lambda: not self.project.running(), deadline_s=1200.0)
+        learners, actors = self.project.containers("learner"), self.project.containers("actor")
+        codes = {one[:12]: self.project.state(one)["ExitCode"] for one in [*learners, *actors]}
+        assert set(codes.values()) == {0}, f"{codes}\n{self.project.last_words()}"
+        words = self.project.learner_words()
+        assert "finished" in words
+        assert f"{UPDATES * ENVS * STEPS:,} steps in {UPDATES} updates" in words
+
+    def the_summary(self) -> None:
+        """On the volume: complete, of the steps asked for, by the native engine."""
+        with tempfile.TemporaryDirectory() as folder:
+            self.project.docker("cp", f"{self.project.containers('learner')[0]}:/data/runs/.", folder)
+            runs = list(Path(folder).iterdir())
+            assert len(runs) == 1
+            summary = json.loads((runs[0] / "summary.json").read_text())
+            self.log = read_log(runs[0])
+        assert summary["complete"] is True
+        assert (summary["updates"], summary["total_steps"]) == (UPDATES, UPDATES * ENVS * STEPS)
+        assert (summary["physics"], summary["eval_episodes"]) == ("native", 8)
+        assert summary["state_digest"] == self.log.updates[-1]["state_digest"]
+
+    def the_log(self) -> None:
+        """Every update once and in order, its transitions logged before it, from all five lives of actors."""
+        assert [update["version"] for update in self.log.updates] == list(range(1, UPDATES + 1))
+        assert self.log.unlogged == 0
+        assert all(len(update["rollouts"]) == SLOTS for update in self.log.updates)
+        by_life = self.log.used_by_life()
+        lives = {incarnation for _, _, incarnation in self._joined()}
+        assert set(by_life) <= lives
+        assert len(lives) == 5
+        assert len(by_life) >= 4, f"rollouts by life: {by_life}"
+        first = {used["slot"] for used in self.log.updates[0]["rollouts"]}
+        assert first == {0, 1}
+        assert {used["slot"] for update in self.log.updates for used in update["rollouts"]} == {0, 1, 2}
+
+    @property
+    def first_update_s(self) -> float:
+        """Seconds from `up` to the first update's record in the log."""
+        return self.log.first_update_s - self.began_s
+
+    def _joined(self) -> set[tuple[str, ...]]:
+        """(slot, generation, incarnation) of every actor that joined so far."""
+        return {found.groups() for found in JOINED.finditer(self.project.learner_words())}
+
+
+@dataclass(frozen=True)
+class Logged:
+    """A run's updates, how many of the rollouts they name were not in the log before them, and the first one's time."""
+
+    updates: list[dict[str, Any]]
+    unlogged: int
+    first_update_s: float
+
+    def used_by_life(self) -> dict[str, int]:
+        """How many rollouts of each incarnation were used."""
+        counts: dict[str, int] = defaultdict(int)
+        for update in self.updates:
+            for used in update["rollouts"]:
+                counts[used["incarnation"]] += 1
+        return dict(counts)
+
+
+def read_log(run_dir: Path) -> Logged:
+    updates: list[dict[str, Any]] = []
+    seen: set[tuple[int, str, int]] = set()
+    unlogged, times_ns = 0, []
+    for message in LogReader(run_dir).messages(["/rollout", "/update"]):
+        if message.topic == "/rollout":
+            seen.add(Rollout.decode(message.data).key)
+            continue
+        updates.append(message.json())
+        times_ns.append(message.t_ns)
+        named = {(used["slot"], used["incarnation"], used["seq"]) for used in updates[-1]["rollouts"]}
+        unlogged += len(named - seen)
+        seen -= named
+    return Logged(updates, unlogged, min(times_ns) / 1e9)
