@@ -10,8 +10,10 @@ SEED ?= 0
 PHYSICS ?= auto
 ARGS ?=
 UPDATE_ARGS ?=
+CHAOS_POINTS ?= 20
+CHAOS_SEED ?=
 
-.PHONY: help setup train test lint bench lock clean
+.PHONY: help setup train test test-chaos lint bench lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -28,6 +30,10 @@ train: setup  ## train; TASK=hopper LEARNER=ppo STEPS=3e6 ACTORS=1 SEED=0 PHYSIC
 
 test: setup  ## all tests that fit in a few minutes
 	@$(BIN)/python -m pytest
+
+test-chaos: setup  ## kill -9 at random points, then --resume; CHAOS_POINTS=20 of each kind, CHAOS_SEED=n to repeat
+	@CHAOS_POINTS=$(CHAOS_POINTS) $(if $(CHAOS_SEED),CHAOS_SEED=$(CHAOS_SEED)) \
+		$(BIN)/python -m pytest tests/chaos -p no:randomly -rA --tb=short
 
 lint: setup  ## style, types and import rules
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports

@@ -60,7 +60,7 @@ def resumed_settings(found: Interrupted, load: Callable[[RunSettings], RunSettin
     changed = [
         f"{name} (it is {json.dumps(old)}, given {json.dumps(new)})"
         for name, old, new in _differences(base.model_dump(mode="json"), given.model_dump(mode="json"))
-        if not name.startswith(MAY_CHANGE)
+        if not name.startswith(MAY_CHANGE) and (name, new) != ("rkhs.capacity", base.capacity)
     ]
     if changed:
         raise SettingsError(

@@ -76,7 +76,7 @@ def resume_run(settings: RunSettings, run_dir: Path) -> Resumption | None:
         return None
     try:
         logged = read_logged_run(run_dir, settings.actors)
-    except CodecError as error:
+    except (CodecError, KeyError) as error:
         raise LogReadError(
             f"the log in {run_dir} cannot be used: {error}; resume it with the release that wrote it"
         ) from None

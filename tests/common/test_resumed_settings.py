@@ -73,6 +73,9 @@ def test_more_steps_extend_a_run(tmp_path: Path) -> None:
     """With the room for h that it began with, since the state has that size: 10 updates of one sample."""
     settings = resumed_settings(interrupted(tmp_path), given(total_steps="1280"))
     assert (settings.updates, settings.capacity, settings.rkhs.capacity) == (20, 10, 10)
+    # As `train` hands it on to its learner, which reads the run's own settings again.
+    again = resumed_settings(interrupted(tmp_path), given(total_steps="1280", rkhs__capacity="10"))
+    assert again == settings
 
 
 def test_fewer_steps_are_refused(tmp_path: Path) -> None:

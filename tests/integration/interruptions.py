@@ -46,14 +46,22 @@ class Process:
     words: Path
 
     def kill(self) -> None:
-        """SIGKILL to it and to its children at once, and wait until none of them runs."""
-        children = [
-            int(pid) for pid in Path(f"/proc/{self.popen.pid}/task/{self.popen.pid}/children").read_text().split()
-        ]
+        """SIGKILL to it and to its children at once, and wait until none of them runs. Nothing where it has ended."""
+        if self.popen.poll() is not None:
+            return
+        children = self.children()
         for pid in (self.popen.pid, *children):
             os.kill(pid, signal.SIGKILL)
         self.popen.wait()
         wait_for(lambda: not any(map(runs, children)))
+
+    def kill_an_actor(self) -> None:
+        """SIGKILL to one of the actors that it supervises."""
+        words = {pid: Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0") for pid in self.children()}
+        os.kill(next(pid for pid, said in words.items() if b"actor" in said), signal.SIGKILL)
+
+    def children(self) -> list[int]:
+        return [int(pid) for pid in Path(f"/proc/{self.popen.pid}/task/{self.popen.pid}/children").read_text().split()]
 
     def end(self) -> str:
         """What it printed, once it has ended by itself and well."""
