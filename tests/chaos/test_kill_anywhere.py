@@ -109,15 +109,14 @@ def test_the_learner_alone(started: Processes, tmp_path: Path, undisturbed: list
 
 @pytest.mark.parametrize(("number", "seed"), points("actor"))
 def test_an_actor_and_then_everything(started: Processes, tmp_path: Path, number: int, seed: str) -> None:
-    """What its successor was to do cannot be acted again, which is said; the promises that the log keeps hold."""
+    """What its successor was to do cannot be acted again; all is in the log once and used once for all that."""
     run_dir = tmp_path / "run"
-    there, delay_s = moment(run_dir, seed)
+    there, _ = moment(run_dir, seed)
     process = started.start("train", *OPTIONS, "--run-dir", run_dir)
     wait_for(there, [process])
     process.kill_an_actor()
     seen = updates_seen(run_dir)
     wait_for(lambda: updates_seen(run_dir) > seen + 2, [process])
     process.kill()
-    printed = started.start("train", "--resume", run_dir).end()
-    assert "was not acted by one and the same actor in every slot" in printed
+    started.start("train", "--resume", run_dir).end()
     audited(run_dir, UPDATES)
