@@ -105,6 +105,20 @@ def read_checkpoint(path: Path) -> Snapshot:
         raise CheckpointError(f"the checkpoint {path} is damaged: {error}. Use an older one beside it") from None
 
 
+@dataclass(frozen=True)
+class Checkpoints:
+    """The checkpoint files of one run. What cannot be written raises CheckpointError."""
+
+    run: str
+    run_dir: Path
+
+    def keep(self, version: int, state: dict[str, np.ndarray]) -> None:
+        write_checkpoint(self.run_dir, Snapshot(self.run, version, digest_arrays(state), state))
+
+    def keep_environments(self, kept: KeptEnvironments) -> None:
+        write_environments(self.run_dir, kept)
+
+
 def _write(path: Path, content: Snapshot) -> None:
     beside = path.with_name(path.name + ".part")
     try:

@@ -15,8 +15,8 @@ from collections.abc import Collection, Sequence
 
 from common.errors import RefusedError
 from common.wire.messages import Heartbeat, Orders, PushReply, Rollout
+from services.learner.comparison import Comparison
 from services.learner.slots import Counts, Member, Place, Slot, Start
-from services.learner.tail import difference
 
 ACCEPTED = PushReply("accepted", "")
 
@@ -32,9 +32,8 @@ class Fleet:
         self._version = 0
         self._collecting = True
         self._hand_in = False
-        self._logged: dict[Place, Rollout] = {}
         self._settled: set[int] = set()
-        self._departure: str | None = None
+        self._again = Comparison()
         self._taken: dict[Place, Rollout] = {}
         self._under_way: dict[tuple[int, str, int], Place] = {}
         self._extra: Counter[int] = Counter()
@@ -73,8 +72,8 @@ class Fleet:
                 slot.member = None
                 self._gone.add(incarnation)
                 self.counts.lost += 1
-                if self._logged and not slot.awaited:
-                    self._depart(f"slot {slot.number} lost its actor before all was made again")
+                if not slot.awaited:
+                    self._again.lost(slot.number)
                 if self._evaluator == slot.number:
                     self._evaluator = None
                 self._share_out()
@@ -133,7 +132,7 @@ class Fleet:
         self._version = version
         self._collecting = collect
         self._hand_in = hand_in
-        self._logged = {rollout.place: rollout for rollout in logged}
+        self._again.begin(logged)
         self._taken.clear()
         self._settle(settled)
         self._extra.clear()
@@ -156,7 +155,7 @@ class Fleet:
         if rollout.seq < member.next_seq:
             self.counts.repeated += 1
             return ACCEPTED
-        if rollout.policy_version != self._version or self._departure is not None:
+        if rollout.policy_version != self._version or self.departure is not None:
             return self._refuse("stale", f"made with policy {rollout.policy_version}; policy {self._version} is wanted")
         if not self._collecting or len(self._taken) + len(self._under_way) >= len(self._slots):
             return self._refuse("surplus", f"policy {self._version} has all the rollouts it needs")
@@ -165,8 +164,8 @@ class Fleet:
         member.next_seq = rollout.seq + 1
         self._slots[rollout.slot].start = None
         place = (rollout.slot, member.generation, rollout.seq)
-        if place in self._logged:
-            self._taken[place] = self._compared(self._logged[place], rollout)
+        if (logged := self._again.logged(place, rollout)) is not None:
+            self._taken[place] = logged
             return ACCEPTED
         self._under_way[rollout.key] = place
         return None
@@ -188,7 +187,7 @@ class Fleet:
     @property
     def departure(self) -> str | None:
         """Why what is made again is not what the log holds; None while it is the same."""
-        return self._departure
+        return self._again.departure
 
     def start_over(self, starts: Sequence[Start], settled: Collection[Rollout], *, collect: bool) -> None:
         """Free every slot, to go on at `starts`; the rest as `begin`. What was accepted stays good."""
@@ -198,7 +197,7 @@ class Fleet:
                 self._gone.add(slot.member.incarnation)
                 slot.member = None
         self._set_out(starts)
-        self._logged, self._departure = {}, None
+        self._again.begin(())
         self._settle(settled)
         self._share_out()
 
@@ -255,7 +254,7 @@ class Fleet:
     @property
     def hand_in(self) -> bool:
         """Whether the states of environments are wanted with this version."""
-        return self._hand_in and self._departure is None
+        return self._hand_in and self.departure is None
 
     @property
     def finished(self) -> bool:
@@ -275,15 +274,6 @@ class Fleet:
     def _settle(self, rollouts: Collection[Rollout]) -> None:
         self._taken |= {rollout.place: rollout for rollout in rollouts}
         self._settled = {rollout.slot for rollout in rollouts}
-
-    def _compared(self, logged: Rollout, made: Rollout) -> Rollout:
-        """The rollout of the log, which counts; a difference is kept in mind."""
-        if what := difference(logged, made):
-            self._depart(f"rollout {made.seq} of slot {made.slot}, version {self._version}: {what}")
-        return logged
-
-    def _depart(self, what: str) -> None:
-        self._departure = self._departure or what
 
     def _refuse(self, reason: str, text: str) -> PushReply:
         self.counts.refused[reason] += 1

@@ -50,9 +50,8 @@ class Hub:
         starts: Sequence[Start] = (),
         logged_environments: Collection[tuple[int, int, int]] = (),
     ) -> None:
-        """`on_event(level, name, text)` is told what a person may want to know; it must not block.
-
-        A resumed run's slots go on at `starts`; its log has the `logged_environments` (version, slot, generation).
+        """`on_event(level, name, text)` is told what a person may want to know; it must not block. A resumed run's
+        slots go on at `starts`; its log has the `logged_environments` (version, slot, generation).
         """
         task = TASKS[settings.task]
         self._run = run
@@ -111,10 +110,9 @@ class Hub:
 
     def rollouts(self, timeout_s: float) -> list[Rollout] | None:
         """The rollouts of the version in their order, or None when they are not complete within the time."""
-        fleet = self._fleet
         with self._changed:
-            self._changed.wait_for(lambda: fleet.take() is not None or fleet.departure is not None, timeout_s)
-            return fleet.take() if fleet.departure is None else None
+            self._changed.wait_for(lambda: self._fleet.take() or self._fleet.departure, timeout_s)
+            return None if self._fleet.departure else self._fleet.take()
 
     def departure(self) -> str | None:
         """As `Fleet.departure`."""

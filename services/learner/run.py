@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass
 
@@ -16,7 +16,7 @@ from common.log.writer import LogWriter
 from common.settings import RunSettings
 from common.wire.messages import Evaluation, Rollout
 from services.learner.again import Again
-from services.learner.checkpoints import KeptEnvironments
+from services.learner.checkpoints import Checkpoints, KeptEnvironments
 from services.learner.display import Display, Status
 from services.learner.hub import Hub, make_snapshot
 from services.learner.scalars import Scalars
@@ -59,8 +59,7 @@ class Run:
         display: Display,
         scalars: Scalars,
         stop: threading.Event,
-        keep_checkpoint: Callable[[Trainer], None],
-        keep_environments: Callable[[KeptEnvironments], object],
+        checkpoints: Checkpoints,
         again: Again,
     ) -> None:
         self._run = run
@@ -71,8 +70,7 @@ class Run:
         self._display = display
         self._scalars = scalars
         self._stop = stop
-        self._keep_checkpoint = keep_checkpoint
-        self._keep_environments = keep_environments
+        self._checkpoints = checkpoints
         self._again = again
         self.returns = again.returns(settings.updates)
         self.physics: set[str] = set()
@@ -166,9 +164,9 @@ class Run:
         if environments is not None:
             # Whoever finds them finds the update to their version in the log.
             self._log.flush(timeout_s=FLUSH_S)
-            self._keep_environments(environments)
+            self._checkpoints.keep_environments(environments)
         if version % log.checkpoint_every == 0 or last:
-            self._keep_checkpoint(self._trainer)
+            self._checkpoints.keep(version, self._trainer.state_arrays())
 
     def _log_seconds(self) -> float:
         """Seconds the log's thread was at work since the last call, beside the loop."""

@@ -17,10 +17,10 @@ from common.run_directory import SETTINGS, SUMMARY, prepare_run_dir, write_json
 from common.runtime import hardware, prepare_jax, software_versions, source_commit
 from common.settings import RunSettings
 from common.wire.endpoint import is_loopback
-from common.wire.messages import Evaluation, Snapshot, digest_arrays
+from common.wire.messages import Evaluation
 from common.wire.session import open_session
 from services.learner.again import Again
-from services.learner.checkpoints import write_checkpoint, write_environments
+from services.learner.checkpoints import Checkpoints
 from services.learner.display import Display, make_display
 from services.learner.hub import Hub
 from services.learner.resume import Resumption, resume_run
@@ -71,37 +71,14 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
         events = Events(log, display)
         for note in resumption.notes:
             events.add("info", "resumed", note)
-        hub = Hub(
-            run,
-            settings,
-            session,
-            log,
-            events.add,
-            starts=resumption.starts,
-            logged_environments=resumption.logged_environments,
-        )
-
-        def keep(trainer: Trainer) -> None:
-            arrays = trainer.state_arrays()
-            write_checkpoint(run_dir, Snapshot(run, trainer.version, digest_arrays(arrays), arrays))
-
+        environments = resumption.logged_environments
+        hub = Hub(run, settings, session, log, events.add, starts=resumption.starts, logged_environments=environments)
         trainer = Trainer(settings)
         if resumption.arrays is not None:
             trainer.restore(resumption.arrays)
         again = Again(hub, resumption, events.add)
-        loop = Run(
-            run,
-            settings,
-            trainer,
-            hub,
-            log,
-            display,
-            scalars,
-            stop,
-            keep,
-            lambda kept: write_environments(run_dir, kept),
-            again,
-        )
+        checkpoints = Checkpoints(run, run_dir)
+        loop = Run(run, settings, trainer, hub, log, display, scalars, stop, checkpoints, again)
         complete, evaluation = False, None
         try:
             complete = loop.train()

@@ -111,6 +111,11 @@ def test_a_loss_while_acting_again_is_a_departure() -> None:
     fleet.admit(made(0, "a", 5))
     fleet.lose("a")
     assert fleet.departure == "slot 0 lost its actor before all was made again"
+    # It stays one as long as there is something to be made again.
+    fleet.begin(11, logged=[made(0, "old", 6, 11), made(1, "old", 4, 11)])
+    assert fleet.departure is not None
+    fleet.begin(12)
+    assert fleet.departure is None
     # Later it is an ordinary loss.
     later = resumed([])
     push(later, made(0, "a", 5))
