@@ -10,8 +10,10 @@ SEED ?= 0
 PHYSICS ?= auto
 ARGS ?=
 UPDATE_ARGS ?=
+CHAOS_POINTS ?= 20
+CHAOS_SEED ?=
 
-.PHONY: help setup train test test-docker lint bench lock clean
+.PHONY: help setup train test test-chaos test-docker lint bench lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -31,6 +33,10 @@ test: setup  ## all tests that fit in a few minutes
 
 test-docker: setup  ## docker-compose.yml for real: build, run, kill, scale; exit code 77 where it cannot be run here
 	@$(BIN)/python -m scripts.docker_test
+
+test-chaos: setup  ## kill -9 at random points, then --resume; CHAOS_POINTS=20 of each kind, CHAOS_SEED=n to repeat
+	@CHAOS_POINTS=$(CHAOS_POINTS) $(if $(CHAOS_SEED),CHAOS_SEED=$(CHAOS_SEED)) \
+		$(BIN)/python -m pytest tests/chaos -p no:randomly -rA --tb=short
 
 lint: setup  ## style, types and import rules
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports

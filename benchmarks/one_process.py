@@ -70,6 +70,7 @@ class OneProcess:
             policy_version=self._trainer.version,
             t_ns=0,
             timing=experience.timing,
+            generation=0,
             **experience.arrays,
         )
         self._collector.keep()

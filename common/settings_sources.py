@@ -69,12 +69,42 @@ def load(
         config: a YAML file or the name of a preset.
         environment: default `os.environ`.
     """
-    environment = os.environ if environment is None else environment
-    places = [
+    return _validated(_places(options, arguments, config, environment))
+
+
+def load_over(
+    base: RunSettings,
+    options: CliSettingsSource[Any] | None = None,
+    arguments: argparse.Namespace | None = None,
+    *,
+    config: str | None = None,
+    environment: Mapping[str, str] | None = None,
+    own_endpoint: bool = True,
+) -> RunSettings:
+    """As `load`, but what no place gives is as in `base`: the settings of a run that is resumed.
+
+    `own_endpoint`: this goes for transport.endpoint, too.
+    """
+    places = _places(options, arguments, config, environment)
+    exclude = None if own_endpoint else {"transport": {"endpoint"}}
+    return _validated([*places, ("the run", base.model_dump(mode="json", exclude=exclude))])
+
+
+def _places(
+    options: CliSettingsSource[Any] | None,
+    arguments: argparse.Namespace | None,
+    config: str | None,
+    environment: Mapping[str, str] | None,
+) -> list[tuple[str, dict[str, Any]]]:
+    """What every place gives, the one that wins first."""
+    return [
         ("the command line", _from_command_line(options, arguments)),
-        ("the environment", _from_environment(environment)),
+        ("the environment", _from_environment(os.environ if environment is None else environment)),
         (f"{config}", _from_file(config) if config else {}),
     ]
+
+
+def _validated(places: list[tuple[str, dict[str, Any]]]) -> RunSettings:
     merged: dict[str, Any] = {}
     for _, values in reversed(places):
         merged = _merge(merged, values)

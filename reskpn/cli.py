@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,9 @@ from pydantic_settings import CliSettingsSource
 from common.errors import ReskpnError
 from common.learners import LEARNERS
 from common.settings import PHYSICS, TransportSettings
-from common.settings_sources import PREFIX, add_options, load
+from common.settings_sources import PREFIX, add_options, load, load_over
 from common.tasks import TASKS
+from reskpn.resuming import AUTO, run_to_resume, settings_to_resume
 
 EXIT_CODES = """\
 exit codes: 0 done, 2 a setting is not possible, 3 no connection, 4 refused, 5 log or checkpoint, 6 physics,
@@ -75,10 +77,17 @@ def _add_train(commands: Any) -> None:
     def call(given: argparse.Namespace) -> int:
         from reskpn.train import train
 
-        return train(load(options, given, config=given.config))
+        if given.resume is None:
+            return train(load(options, given, config=given.config))
+        # Nobody is left who knows the address of the run's first processes.
+        over = partial(load_over, options=options, arguments=given, config=given.config, own_endpoint=False)
+        settings = settings_to_resume(Path(given.resume), over)
+        return 0 if settings is None else train(settings, resume=True)
 
     text = "train on this machine: a learner and its actors as processes on loopback"
-    options: CliSettingsSource[Any] = add_options(_command(commands, "train", text, call, _epilog()))
+    parser = _command(commands, "train", text, call, _epilog())
+    options: CliSettingsSource[Any] = add_options(parser)
+    parser.add_argument("--resume", metavar="RUN_DIR", help="go on with the unfinished run in that directory")
 
 
 def _add_learner(commands: Any) -> None:
@@ -86,12 +95,24 @@ def _add_learner(commands: Any) -> None:
         from reskpn.supervised import stopping
         from services.learner.service import run_learner
 
-        settings = load(options, given, config=given.config)
+        over = partial(load_over, options=options, arguments=given, config=given.config)
+        resume = given.resume
+        if resume is None or resume == AUTO:
+            fresh = load(options, given, config=given.config)
+            resume = run_to_resume(fresh) if resume == AUTO else None
+        settings = fresh if resume is None else settings_to_resume(Path(resume), over)
+        if settings is None:
+            return 0
         with stopping(supervised=given.supervised) as stop:
-            return run_learner(settings, stop=stop)
+            return run_learner(settings, stop=stop, resume=resume is not None)
 
     parser = _command(commands, "learner", "serve one training run; actors connect to it", call, _epilog())
     options: CliSettingsSource[Any] = add_options(parser)
+    parser.add_argument(
+        "--resume",
+        metavar=f"RUN_DIR|{AUTO}",
+        help=f"go on with the unfinished run in that directory; {AUTO}: with the one in --run-dir, if there is one",
+    )
     parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)
 
 
@@ -109,6 +130,7 @@ def _add_actor(commands: Any) -> None:
                 run=given.run,
                 threads=given.threads,
                 connect_timeout_s=given.connect_timeout,
+                rejoin_timeout_s=given.rejoin_timeout,
                 stop=stop,
                 say=lambda text: print(text, flush=True),
                 state_file=given.state_file,
@@ -123,6 +145,12 @@ def _add_actor(commands: Any) -> None:
     parser.add_argument("--threads", type=int, default=0, help="threads of the native engine (default: one a core)")
     parser.add_argument(
         "--connect-timeout", type=float, metavar="S", help="give up when no learner answers in time (default: never)"
+    )
+    parser.add_argument(
+        "--rejoin-timeout",
+        type=float,
+        metavar="S",
+        help="give up when a learner that was lost stays away (default: never)",
     )
     parser.add_argument("--config", metavar="FILE", help="YAML file of settings; its transport section is used")
     parser.add_argument(

@@ -31,8 +31,10 @@ HOPELESS = {SettingsError.exit_code, RefusedError.exit_code, PhysicsError.exit_c
 """Exit codes of an actor that would only fail the same way again."""
 
 
-def train(settings: RunSettings) -> int:
+def train(settings: RunSettings, *, resume: bool = False) -> int:
     """Run to the end and return the learner's exit code.
+
+    `resume`: go on with the unfinished run in `settings.run_dir`, whose settings these are.
 
     Actors are started beside the learner, not after it: all of them take seconds to load.
 
@@ -41,13 +43,14 @@ def train(settings: RunSettings) -> int:
         ProcessError: an actor cannot be kept alive.
     """
     settings = resolved(settings)
-    claim_run_dir(settings)
+    run_dir = settings.run_dir if resume else claim_run_dir(settings)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="reskpn-")))
         config = folder / "settings.json"
         config.write_text(settings.model_dump_json())
         stop = stack.enter_context(stopping(supervised=False))
-        learner = _start([*_reskpn("learner"), "--config", str(config)])
+        how = ["--resume", str(run_dir)] if resume else []
+        learner = _start([*_reskpn("learner"), "--config", str(config), *how])
         stack.callback(_end, [learner])
         crew = Crew(settings)
         stack.callback(crew.end)
@@ -57,7 +60,14 @@ def train(settings: RunSettings) -> int:
             else:
                 crew.keep_up()
             time.sleep(POLL_S)
-        return learner.returncode if learner.returncode >= 0 else 128 - learner.returncode
+        if learner.returncode >= 0:
+            return learner.returncode
+        print(
+            f"the learner was ended by signal {-learner.returncode}; go on with: reskpn train --resume {run_dir}",
+            file=sys.stderr,
+            flush=True,
+        )
+        return 128 - learner.returncode
 
 
 def resolved(settings: RunSettings) -> RunSettings:

@@ -87,8 +87,9 @@ _SPEC = _object("The settings of the run and the versions of its software.")
 _ROLLOUT_USED = _object(
     "Names one message of /rollout.",
     slot=_integer("slot of the actor"),
-    incarnation=_string("life of the actor in that slot"),
-    seq=_integer("number of the rollout in that life"),
+    incarnation=_string("the actor that brought it"),
+    generation=_integer("how often the slot was given to new environments before"),
+    seq=_integer("number of the rollout in that generation"),
     policy_version=_integer("version of the policy that acted"),
 )
 
@@ -141,6 +142,7 @@ CHANNELS: dict[str, ChannelSpec] = {
         ChannelSpec("/rollout", "msgpack"),
         ChannelSpec("/update", "json", _UPDATE),
         ChannelSpec("/policy", "msgpack"),
+        ChannelSpec("/environment", "msgpack"),
         ChannelSpec("/episode", "json", _EPISODE),
         ChannelSpec("/event", "json", _EVENT),
         ChannelSpec("/eval", "json", _EVAL),

@@ -3,6 +3,7 @@
 reskpn/v1/join                          asked by a process that knows only the learner's address
 reskpn/v1/<run>/rollout/<slot>          query push of rollouts
                /evaluation/<slot>       query push of evaluations
+               /environment/<slot>      query push of environment states; asked with nothing, the one to go on from
                /policy/notify           what the learner wants now, and the newest version
                /policy/latest           the newest snapshot, asked for
                /heartbeat/<slot>
@@ -49,6 +50,9 @@ class Keys:
     def evaluation(self, slot: int) -> str:
         return f"{self._base}/evaluation/{_slot(slot)}"
 
+    def environment(self, slot: int) -> str:
+        return f"{self._base}/environment/{_slot(slot)}"
+
     def heartbeat(self, slot: int) -> str:
         return f"{self._base}/heartbeat/{_slot(slot)}"
 
@@ -64,6 +68,11 @@ class Keys:
     def evaluations(self) -> str:
         """Wildcard: `evaluation` of every slot."""
         return f"{self._base}/evaluation/*"
+
+    @property
+    def environments(self) -> str:
+        """Wildcard: `environment` of every slot."""
+        return f"{self._base}/environment/*"
 
     @property
     def heartbeats(self) -> str:

@@ -64,7 +64,8 @@ class Join(Message):
 class JoinReply(Message):
     """Accepted with a slot and the run's settings as JSON, or refused with a reason.
 
-    `generation` counts how often this slot was given out before; `final`: asking again will not help.
+    `generation` counts how often this slot was given out before; `final`: asking again will not help; `restore`: the
+    slot goes on from an environment state that the learner keeps (`Keys.environment`).
     """
 
     accepted: Annotated[bool, flag]
@@ -74,6 +75,7 @@ class JoinReply(Message):
     slot: Slot
     generation: Count
     settings: Annotated[str, text(1 << 20)]
+    restore: Annotated[bool, flag] = False
 
     @property
     def finished(self) -> bool:
@@ -103,7 +105,8 @@ class Rollout(Message):
     """T steps of N environments under one version of the policy.
 
     `truncated_obs` are the observations in which the time limit cut an episode, in the order of
-    `np.nonzero(truncated)`; `timing` is seconds by phase; `t_ns` is the Unix time of sending.
+    `np.nonzero(truncated)`; `timing` is seconds by phase; `t_ns` is the Unix time of sending. `slot`, `generation` and
+    `seq` say which environments acted with which random numbers, whoever the actor was.
 
     `mirror_...` are the last step made once more with the mirrored action, `mirror_obs` after it; m is N, or 0 in a run
     that does not branch.
@@ -131,11 +134,17 @@ class Rollout(Message):
     mirror_terminated: Annotated[np.ndarray, array("bool", "m")]
     mirror_truncated: Annotated[np.ndarray, array("bool", "m")]
     mirror_obs: Annotated[np.ndarray, array("float32", "m O")]
+    generation: Count = 0
 
     @property
     def key(self) -> tuple[int, str, int]:
         """(slot, incarnation, seq): the same rollout sent twice has the same key."""
         return self.slot, self.incarnation, self.seq
+
+    @property
+    def place(self) -> tuple[int, int, int]:
+        """(slot, generation, seq): where the rollout stands in a batch. Made again it has the same place."""
+        return self.slot, self.generation, self.seq
 
     @property
     def nbytes(self) -> int:
@@ -182,7 +191,8 @@ class Orders(Message):
     """What the learner wants now; said again and again, the last one counts.
 
     `version`, `digest` and `size` (bytes) are the newest snapshot's; `collect` is rollouts wanted at this version by
-    slot, 0 or more for every slot that is held while the run goes on; `evaluate` is episodes by slot.
+    slot, 0 or more for every slot that is held while the run goes on; `evaluate` is episodes by slot. `hand_in`: push
+    the state of the environments (`Environment`) before the first rollout of this version.
     """
 
     run: RunId
@@ -193,6 +203,7 @@ class Orders(Message):
     evaluate: PerSlot
     finished: Annotated[bool, flag]
     t_ns: Count
+    hand_in: Annotated[bool, flag] = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,14 +219,33 @@ class Snapshot(Message):
     def decode(cls, data: bytes, limits: Limits = LIMITS) -> Self:
         """As `Message.decode`; raises `CodecError("bad_digest")` where arrays and digest disagree."""
         snapshot = super().decode(data, limits)
-        found = digest_arrays(snapshot.arrays)
-        if found != snapshot.digest:
-            raise CodecError(
-                "bad_digest",
-                f"snapshot {snapshot.version} says digest {snapshot.digest!r}, but its arrays have {found!r}: "
-                "fetch it again",
-            )
+        _check_digest(f"snapshot {snapshot.version}", snapshot.digest, snapshot.arrays)
         return snapshot
+
+
+@dataclass(frozen=True, eq=False)
+class Environment(Message):
+    """The environments of one slot before rollout `seq`, which is the first under policy `version`.
+
+    `arrays` is their whole state by path, of which only an actor knows the meaning; with policy, seed and place it
+    decides every rollout that follows.
+    """
+
+    run: RunId
+    slot: Slot
+    incarnation: Name
+    generation: Count
+    seq: Count
+    version: Count
+    digest: Name
+    arrays: Annotated[dict[str, np.ndarray], mapping(any_array)]
+
+    @classmethod
+    def decode(cls, data: bytes, limits: Limits = LIMITS) -> Self:
+        """As `Message.decode`; raises `CodecError("bad_digest")` where arrays and digest disagree."""
+        environment = super().decode(data, limits)
+        _check_digest(f"environment of slot {environment.slot}", environment.digest, environment.arrays)
+        return environment
 
 
 @dataclass(frozen=True)
@@ -271,6 +301,12 @@ def digest_arrays(arrays: Mapping[str, np.ndarray]) -> str:
         digest.update(len(header).to_bytes(4, "little") + header)
         digest.update(elements.data)
     return digest.hexdigest()
+
+
+def _check_digest(what: str, digest: str, arrays: Mapping[str, np.ndarray]) -> None:
+    found = digest_arrays(arrays)
+    if found != digest:
+        raise CodecError("bad_digest", f"{what} says digest {digest!r}, but its arrays have {found!r}: fetch it again")
 
 
 def _check_episodes(returns: np.ndarray, lengths: np.ndarray) -> None:

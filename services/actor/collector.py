@@ -24,7 +24,7 @@ from common.maths.policy import Policy, act
 from common.maths.rkhs.make import make_representation
 from common.maths.running import Moments
 from common.maths.state import initial_state
-from common.maths.trees import from_arrays
+from common.maths.trees import from_arrays, to_arrays
 from common.physics.environments import BatchedEnvironment, EnvState, make_environment
 from common.settings import RunSettings
 from common.tasks import TASKS
@@ -174,6 +174,20 @@ class Collector:
         """The learner has the rollout: go on from where it ended."""
         self._state = self._pending
         self.seq += 1
+
+    def environments(self) -> dict[str, np.ndarray]:
+        """The state that the rollout number `seq` starts from, by path. Only after `compile`."""
+        return to_arrays(self._state)
+
+    def restore(self, arrays: dict[str, np.ndarray], seq: int) -> None:
+        """Go on as the collector whose `environments` these were, at its `seq`. Only after `compile`.
+
+        Raises:
+            CodecError: they are of another engine, or of other settings.
+        """
+        self._state = jax.device_put(from_arrays(self._state, arrays))
+        self._pending = None
+        self.seq = seq
 
     def _scan(self, policy: Policy, state: EnvState, key: Array) -> tuple[EnvState, Collected]:
         """T steps, and in a run that branches one more, which is the last one over again with the mirrored action."""

@@ -11,7 +11,17 @@ from common.errors import CodecError, RefusedError, SessionError
 from common.settings import RunSettings
 from common.settings_sources import parse_json
 from common.wire.keys import JOIN, Keys, parse_alive
-from common.wire.messages import Evaluation, Heartbeat, Join, JoinReply, Orders, PushReply, Rollout, Snapshot
+from common.wire.messages import (
+    Environment,
+    Evaluation,
+    Heartbeat,
+    Join,
+    JoinReply,
+    Orders,
+    PushReply,
+    Rollout,
+    Snapshot,
+)
 from common.wire.session import Session
 
 JOIN_TIMEOUT_S = 5.0
@@ -25,13 +35,14 @@ class Lost(Exception):
 
 @dataclass(frozen=True)
 class Membership:
-    """What joining gave."""
+    """What joining gave. `restore`: the slot goes on from environments that the learner keeps."""
 
     run: str
     slot: int
     generation: int
     incarnation: str
     settings: RunSettings
+    restore: bool = False
 
 
 def join(
@@ -69,7 +80,7 @@ def join(
         else:
             if reply.accepted:
                 settings = parse_json(reply.settings)
-                return Membership(reply.run, reply.slot, reply.generation, incarnation, settings)
+                return Membership(reply.run, reply.slot, reply.generation, incarnation, settings, reply.restore)
             if reply.finished:
                 waiting(reply.reason)
                 return None
@@ -124,6 +135,14 @@ class Link:
         except (SessionError, CodecError) as error:
             raise Lost(f"no policy from the learner: {error}") from None
 
+    def environment(self) -> Environment:
+        """The environments that the slot goes on from. Lost where the learner has none for it any more."""
+        key = self._keys.environment(self._member.slot)
+        try:
+            return Environment.decode(self._session.ask(key, b"", self._push_timeout_s))
+        except (SessionError, CodecError) as error:
+            raise Lost(f"no environments from the learner: {error}") from None
+
     def push(self, rollout: Rollout, stop: threading.Event) -> bool:
         """Send until there is an answer; whether the learner took it.
 
@@ -136,6 +155,10 @@ class Link:
     def push_evaluation(self, evaluation: Evaluation, stop: threading.Event) -> bool:
         """As `push`, for an evaluation."""
         return self._push(self._keys.evaluation(self._member.slot), evaluation.encode(), stop)
+
+    def push_environment(self, environment: Environment, stop: threading.Event) -> bool:
+        """As `push`, for the state of the slot's environments."""
+        return self._push(self._keys.environment(self._member.slot), environment.encode(), stop)
 
     def beat(self, heartbeat: Heartbeat) -> None:
         self._beat.put(heartbeat.encode())

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import jax
 
-from common.errors import SessionError
+from common.errors import CodecError, PhysicsError, SessionError
 from common.maths.policy import Policy
 from common.physics.engines import resolve_physics
 from common.runtime import hardware, prepare_jax, software_versions
 from common.settings import TransportSettings
-from common.wire.messages import Evaluation, Orders, Rollout
+from common.wire.messages import Environment, Evaluation, Orders, Rollout, digest_arrays
 from common.wire.session import Session, open_session
 from services.actor.collector import Collector, Place, PolicyReader, evaluate
 from services.actor.heartbeat import NO_POLICY, Heart
@@ -31,6 +31,7 @@ def run_actor(
     run: str,
     threads: int,
     connect_timeout_s: float | None,
+    rejoin_timeout_s: float | None = None,
     stop: threading.Event,
     say: Callable[[str], None],
     state_file: Path | None = None,
@@ -42,6 +43,7 @@ def run_actor(
         run: the run to work for, or "" for whichever the learner has.
         threads: threads of the native engine, 0 for one a core.
         connect_timeout_s: how long to wait for a learner; None for ever.
+        rejoin_timeout_s: how long to wait for one that was lost, or for its successor; None for ever.
         say: told what a person may want to know.
         state_file: where `python -m reskpn.health actor` finds what this actor does; None for nowhere.
 
@@ -83,7 +85,7 @@ def run_actor(
                 finished = Life(session, member, transport, engine, threads, stop, keep).live()
             except (Lost, SessionError) as error:
                 say(f"{error}; joining again")
-                connect_timeout_s = None  # there was a learner: wait for the next one for ever
+                connect_timeout_s = rejoin_timeout_s
                 continue
             if finished:
                 say("the run is over")
@@ -117,6 +119,7 @@ class Life:
         self._version = -1
         self._made = 0
         self._evaluated = -1
+        self._handed_in = -1
         self._push_s = 0.0
 
     def live(self) -> bool:
@@ -130,6 +133,8 @@ class Life:
             place = Place(self._member.slot, self._member.generation)
             collector = Collector(self._settings, place, reader, self._threads)
             collector.compile()
+            if self._member.restore:
+                self._restore(collector)
             self._heart.state("waiting")
             orders: Orders | None = None
             while not self._stop.is_set():
@@ -156,11 +161,43 @@ class Life:
             self._heart.version = snapshot.version
         if self._policy is None or self._version != orders.version:
             return  # the learner has moved on: newer orders are on their way
+        if wanted > 0 and orders.hand_in and not self._hand_in(collector):
+            return
         for _ in range(wanted):
             if not self._collect(collector, self._policy):
                 return
         if slot in orders.evaluate and self._evaluated != orders.version:
             self._evaluate(reader, self._policy, orders.evaluate[slot])
+
+    def _restore(self, collector: Collector) -> None:
+        """Go on from the environments that the learner keeps for this slot."""
+        kept = self._link.environment()
+        try:
+            collector.restore(kept.arrays, kept.seq)
+        except CodecError as error:
+            raise PhysicsError(
+                f"the environments that slot {self._member.slot} goes on from do not fit the {collector.physics} "
+                f"engine here ({error}); give the engine that the run began with, by --physics"
+            ) from None
+
+    def _hand_in(self, collector: Collector) -> bool:
+        """Bring the learner the environments as they are; whether it has those of this version."""
+        if self._handed_in == self._version:
+            return True
+        member, arrays = self._member, collector.environments()
+        environment = Environment(
+            run=member.run,
+            slot=member.slot,
+            incarnation=member.incarnation,
+            generation=member.generation,
+            seq=collector.seq,
+            version=self._version,
+            digest=digest_arrays(arrays),
+            arrays=arrays,
+        )
+        if self._link.push_environment(environment, self._stop):
+            self._handed_in = self._version
+        return self._handed_in == self._version
 
     def _collect(self, collector: Collector, policy: Policy) -> bool:
         """Make one rollout and bring it to the learner; whether it was taken."""
@@ -174,6 +211,7 @@ class Life:
             policy_version=self._version,
             t_ns=time.time_ns(),
             timing={**experience.timing, "push": self._push_s},
+            generation=self._member.generation,
             **experience.arrays,
         )
         self._heart.state("pushing")

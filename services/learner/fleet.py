@@ -11,68 +11,29 @@ Nothing here knows of threads, clocks or Zenoh: the service holds a lock around 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
 
 from common.errors import RefusedError
 from common.wire.messages import Heartbeat, Orders, PushReply, Rollout
+from services.learner.comparison import Comparison
+from services.learner.slots import Counts, Member, Place, Slot, Start
 
 ACCEPTED = PushReply("accepted", "")
-
-Place = tuple[int, int, int]
-"""Slot, generation and seq: where a rollout stands in the batch."""
-
-
-@dataclass
-class Member:
-    """The actor that holds a slot. `next_seq` counts the rollouts taken from it, to know a repeat by."""
-
-    incarnation: str
-    generation: int
-    physics: str
-    state: str = "compiling"
-    state_s: float = 0.0
-    heard_s: float = 0.0
-    version: int = 0
-    env_steps: int = 0
-    steps_per_s: float = 0.0
-    next_seq: int = 0
-
-    @property
-    def ready(self) -> bool:
-        return self.state != "compiling"
-
-
-@dataclass
-class Slot:
-    """A place in the batch and who holds it, if anyone; `given` counts how often it was given out.
-
-    `awaited`: the batch waits for the slot's first actor, and for it to compile.
-    """
-
-    number: int
-    given: int = 0
-    awaited: bool = True
-    member: Member | None = None
-
-
-@dataclass
-class Counts:
-    """What happened since the start, by kind: shown, logged and asserted on."""
-
-    refused: Counter[str] = field(default_factory=Counter)
-    repeated: int = 0
-    joined: int = 0
-    lost: int = 0
 
 
 class Fleet:
     """The slots of one run and the rollouts of the version being collected."""
 
-    def __init__(self, run: str, slots: int) -> None:
+    def __init__(self, run: str, slots: int, starts: Sequence[Start] = ()) -> None:
+        """`starts` by slot, where a run is resumed."""
         self._run = run
         self._slots = [Slot(number) for number in range(slots)]
+        self._set_out(starts)
         self._version = 0
         self._collecting = True
+        self._hand_in = False
+        self._settled: set[int] = set()
+        self._again = Comparison()
         self._taken: dict[Place, Rollout] = {}
         self._under_way: dict[tuple[int, str, int], Place] = {}
         self._extra: Counter[int] = Counter()
@@ -94,8 +55,9 @@ class Fleet:
                 return slot
         for slot in self._slots:
             if slot.member is None:
-                slot.member = Member(incarnation, slot.given, physics, heard_s=now_s)
-                slot.given += 1
+                start = slot.start or Start(slot.given)
+                slot.member = Member(incarnation, start.generation, physics, heard_s=now_s, next_seq=start.seq)
+                slot.given = start.generation + 1
                 self.counts.joined += 1
                 self._share_out()
                 return slot
@@ -108,9 +70,9 @@ class Fleet:
 
         Returns the slots that were waited for until now.
         """
-        excused = [slot for slot in self._slots if slot.awaited and not slot.given]
+        excused = [slot for slot in self._slots if slot.awaited and slot.member is None]
         for slot in excused:
-            slot.awaited = False
+            slot.excused = True
         if excused:
             self._share_out()
         return [slot.number for slot in excused]
@@ -122,6 +84,8 @@ class Fleet:
                 slot.member = None
                 self._gone.add(incarnation)
                 self.counts.lost += 1
+                if not slot.awaited:
+                    self._again.lost(slot.number)
                 if self._evaluator == slot.number:
                     self._evaluator = None
                 self._share_out()
@@ -130,7 +94,7 @@ class Fleet:
 
     def heard(self, beat: Heartbeat, now_s: float) -> bool:
         """Take in a heartbeat; whether orders change by it. One of an incarnation without a slot is ignored."""
-        member = self._holder(beat.slot, beat.incarnation)
+        member = self.holder(beat.slot, beat.incarnation)
         if member is None:
             return False
         was_ready = member.ready
@@ -141,9 +105,14 @@ class Fleet:
         self._share_out()
         return True
 
+    def holder(self, slot: int, incarnation: str) -> Member | None:
+        """The member of that slot, where it is this incarnation."""
+        member = self._slots[slot].member if slot < len(self._slots) else None
+        return member if member is not None and member.incarnation == incarnation else None
+
     def holds(self, slot: int, incarnation: str) -> bool:
         """Whether this incarnation has that slot now."""
-        return self._holder(slot, incarnation) is not None
+        return self.holder(slot, incarnation) is not None
 
     def silent(self, now_s: float, limit_s: float) -> list[str]:
         """Incarnations not heard of for longer than the limit."""
@@ -155,11 +124,29 @@ class Fleet:
 
     # -- the rollouts of a version -------------------------------------------------------------------------
 
-    def begin(self, version: int, *, collect: bool = True) -> None:
-        """Collect for this version from now on, or nothing any more (the last version of a run)."""
+    def begin(
+        self,
+        version: int,
+        *,
+        collect: bool = True,
+        hand_in: bool = False,
+        logged: Collection[Rollout] = (),
+        settled: Collection[Rollout] = (),
+    ) -> None:
+        """Collect for this version from now on, or nothing any more (the last version of a run).
+
+        Args:
+            hand_in: ask for the environments' states as well.
+            logged: rollouts of this version that are in the log of a resumed run: made again they are compared with
+                it and not logged twice, and the batch takes those of the log.
+            settled: such rollouts that are not to be made again: their slots have nothing to do.
+        """
         self._version = version
         self._collecting = collect
+        self._hand_in = hand_in
+        self._again.begin(logged)
         self._taken.clear()
+        self._settle(settled)
         self._extra.clear()
         self._share_out()
 
@@ -168,7 +155,7 @@ class Fleet:
 
         A rollout that was admitted is under way until `accept` is called with it.
         """
-        member = self._holder(rollout.slot, rollout.incarnation)
+        member = self.holder(rollout.slot, rollout.incarnation)
         if rollout.run != self._run:
             return self._refuse("run", f"this learner runs {self._run!r}, not {rollout.run!r}")
         if member is None:
@@ -180,14 +167,19 @@ class Fleet:
         if rollout.seq < member.next_seq:
             self.counts.repeated += 1
             return ACCEPTED
-        if rollout.policy_version != self._version:
+        if rollout.policy_version != self._version or self.departure is not None:
             return self._refuse("stale", f"made with policy {rollout.policy_version}; policy {self._version} is wanted")
         if not self._collecting or len(self._taken) + len(self._under_way) >= len(self._slots):
             return self._refuse("surplus", f"policy {self._version} has all the rollouts it needs")
         if rollout.seq > member.next_seq:
             return self._refuse("gap", f"rollout {rollout.seq} came where {member.next_seq} is next")
         member.next_seq = rollout.seq + 1
-        self._under_way[rollout.key] = (rollout.slot, member.generation, rollout.seq)
+        self._slots[rollout.slot].start = None
+        place = (rollout.slot, member.generation, rollout.seq)
+        if (logged := self._again.logged(place, rollout)) is not None:
+            self._taken[place] = logged
+            return ACCEPTED
+        self._under_way[rollout.key] = place
         return None
 
     def accept(self, rollout: Rollout) -> None:
@@ -201,6 +193,34 @@ class Fleet:
         if len(self._taken) < len(self._slots):
             return None
         return [self._taken[place] for place in sorted(self._taken)]
+
+    # -- resuming ------------------------------------------------------------------------------------------
+
+    @property
+    def departure(self) -> str | None:
+        """Why what is made again is not what the log holds; None while it is the same."""
+        return self._again.departure
+
+    def start_over(self, starts: Sequence[Start], settled: Collection[Rollout], *, collect: bool) -> None:
+        """Free every slot, to go on at `starts`; the rest as `begin`. What was accepted stays good."""
+        self._collecting = collect
+        for slot in self._slots:
+            if slot.member is not None:
+                self._gone.add(slot.member.incarnation)
+                slot.member = None
+        self._set_out(starts)
+        self._again.begin(())
+        self._settle(settled)
+        self._share_out()
+
+    def starts_from(self, slot: int) -> bytes | None:
+        """The environments that a slot goes on from, as `Environment`; None for new ones."""
+        start = self._slots[slot].start
+        return None if start is None else start.environment
+
+    def given(self) -> list[int]:
+        """How often each slot was given out."""
+        return [slot.given for slot in self._slots]
 
     # -- orders --------------------------------------------------------------------------------------------
 
@@ -216,12 +236,12 @@ class Fleet:
     def orders(self, *, digest: str, size: int, t_ns: int) -> Orders:
         """What is wanted now. `collect` counts from the version's start and names every slot that is held."""
         collect = {
-            slot.number: 1 + self._extra[slot.number] if self._collecting else 0
+            slot.number: self._wanted(slot.number)
             for slot in self._slots
             if slot.member is not None and not self._finished
         }
         evaluator = {} if self._evaluator is None or self._finished else {self._evaluator: self._episodes}
-        return Orders(self._run, self._version, digest, size, collect, evaluator, self._finished, t_ns)
+        return Orders(self._run, self._version, digest, size, collect, evaluator, self._finished, t_ns, self._hand_in)
 
     def waiting_for(self) -> str:
         """What holds the run up, for a person: "waiting for 1 of 2 rollouts: slot 1 compiling 12 s"."""
@@ -231,7 +251,7 @@ class Fleet:
             if slot.number in done:
                 continue
             if slot.member is None:
-                parts.append(f"slot {slot.number} has {'lost its actor' if slot.given else 'no actor yet'}")
+                parts.append(f"slot {slot.number} has {'no actor yet' if slot.awaited else 'lost its actor'}")
             else:
                 parts.append(f"slot {slot.number} {slot.member.state} {slot.member.state_s:.0f} s")
         return f"waiting for {len(self._slots) - len(self._taken)} of {len(self._slots)} rollouts: {', '.join(parts)}"
@@ -244,15 +264,28 @@ class Fleet:
         return self._version
 
     @property
+    def hand_in(self) -> bool:
+        """Whether the states of environments are wanted with this version."""
+        return self._hand_in and self.departure is None
+
+    @property
     def finished(self) -> bool:
         return self._finished
 
     # -- inside --------------------------------------------------------------------------------------------
 
-    def _holder(self, slot: int, incarnation: str) -> Member | None:
-        """The member of that slot, where it is this incarnation."""
-        member = self._slots[slot].member if slot < len(self._slots) else None
-        return member if member is not None and member.incarnation == incarnation else None
+    def _wanted(self, slot: int) -> int:
+        if not self._collecting or slot in self._settled:
+            return 0
+        return 1 + self._extra[slot]
+
+    def _set_out(self, starts: Sequence[Start]) -> None:
+        for slot, start in zip(self._slots, starts, strict=False):
+            slot.given, slot.start = start.generation, start
+
+    def _settle(self, rollouts: Collection[Rollout]) -> None:
+        self._taken |= {rollout.place: rollout for rollout in rollouts}
+        self._settled = {rollout.slot for rollout in rollouts}
 
     def _refuse(self, reason: str, text: str) -> PushReply:
         self.counts.refused[reason] += 1
@@ -267,7 +300,7 @@ class Fleet:
         if self._episodes and self._evaluator is None:
             ready = [slot.number for slot in self._slots if slot.member is not None and slot.member.ready]
             self._evaluator = ready[0] if ready else None
-        manned = [slot for slot in self._slots if _manned(slot)]
+        manned = [slot for slot in self._slots if slot.manned]
         able = [slot.number for slot in manned if slot.member is not None]
         delivered = {number for number, _, _ in self._taken}
         orphaned = [slot.number for slot in self._slots if slot not in manned and slot.number not in delivered]
@@ -275,9 +308,3 @@ class Fleet:
         for turn, _ in enumerate(orphaned):
             if able:
                 self._extra[able[turn % len(able)]] += 1
-
-
-def _manned(slot: Slot) -> bool:
-    if slot.member is None:
-        return slot.given == 0 and slot.awaited
-    return (slot.member.generation == 0 and slot.awaited) or slot.member.ready

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 
 from common.errors import CodecError, RefusedError
 from common.log.writer import LogWriter
@@ -29,7 +29,9 @@ from common.wire.messages import (
     digest_arrays,
 )
 from common.wire.session import Request, Session
+from services.learner.environments import EnvironmentDesk
 from services.learner.fleet import ACCEPTED, Fleet
+from services.learner.slots import Start
 
 SILENT_S = 30.0
 """An actor that sends no heartbeat for so long has lost its slot, whatever its connection looks like."""
@@ -49,8 +51,13 @@ class Hub:
         session: Session,
         log: LogWriter,
         on_event: Callable[[str, str, str], None],
+        *,
+        starts: Sequence[Start] = (),
+        logged_environments: Collection[tuple[int, int, int]] = (),
     ) -> None:
-        """`on_event(level, name, text)` is told what a person may want to know; it must not block."""
+        """`on_event(level, name, text)` is told what a person may want to know; it must not block. A resumed run's
+        slots go on at `starts`; its log has the `logged_environments` (version, slot, generation).
+        """
         task = TASKS[settings.task]
         self._run = run
         self._settings = settings
@@ -67,7 +74,7 @@ class Hub:
         )
         self._changed = threading.Condition()
         # Under the condition, from here
-        self._fleet = Fleet(run, settings.actors)
+        self._fleet = Fleet(run, settings.actors, starts)
         self._snapshot = b""
         self._digest = ""
         self._evaluation: Evaluation | None = None
@@ -75,6 +82,9 @@ class Hub:
         self._opened_s = time.monotonic()
         self._turned_away_s = -ASK_AGAIN_S
         # to here.
+        self.environments = EnvironmentDesk(
+            run, settings, log, self._fleet, self._changed, self._count_malformed, logged_environments
+        )
         self._orders = session.publisher(self._keys.policy_notify, express=True, high_priority=True)
         self._metrics = session.publisher(self._keys.metrics)
         self._status = session.publisher(self._keys.status)
@@ -85,6 +95,7 @@ class Hub:
         session.serve(keys.policy_latest, self._serve_snapshot)
         session.serve(keys.rollouts, self._on_rollout)
         session.serve(keys.evaluations, self._on_evaluation)
+        session.serve(keys.environments, self.environments.on_request)
         session.subscribe(keys.heartbeats, self._on_heartbeat)
         session.watch_alive(keys.all_alive, self._on_alive)
         session.declare_alive(keys.alive("learner", "learner"))
@@ -93,20 +104,40 @@ class Hub:
 
     # -- for the learner's loop ----------------------------------------------------------------------------
 
-    def begin(self, snapshot: Snapshot, *, collect: bool = True) -> bytes:
-        """Publish a version and collect for it, or no more at all; returns the snapshot's bytes."""
+    def begin(
+        self,
+        snapshot: Snapshot,
+        *,
+        collect: bool = True,
+        hand_in: bool = False,
+        logged: Collection[Rollout] = (),
+        settled: Collection[Rollout] = (),
+    ) -> bytes:
+        """Publish a version and collect for it as `Fleet.begin`, or no more at all; returns the snapshot's bytes."""
         data = snapshot.encode()
         with self._changed:
             self._snapshot, self._digest = data, snapshot.digest
-            self._fleet.begin(snapshot.version, collect=collect)
+            self._fleet.begin(snapshot.version, collect=collect, hand_in=hand_in, logged=logged, settled=settled)
+            self.environments.forget()
         self.announce()
         return data
 
     def rollouts(self, timeout_s: float) -> list[Rollout] | None:
         """The rollouts of the version in their order, or None when they are not complete within the time."""
         with self._changed:
-            self._changed.wait_for(lambda: self._fleet.take() is not None, timeout_s)
-            return self._fleet.take()
+            self._changed.wait_for(lambda: self._fleet.take() or self._fleet.departure, timeout_s)
+            return None if self._fleet.departure else self._fleet.take()
+
+    def departure(self) -> str | None:
+        """As `Fleet.departure`."""
+        with self._changed:
+            return self._fleet.departure
+
+    def start_over(self, starts: Sequence[Start], settled: Collection[Rollout], *, collect: bool) -> None:
+        """As `Fleet.start_over`: the actors find out by the orders, which do not name them, and join again."""
+        with self._changed:
+            self._fleet.start_over(starts, settled, collect=collect)
+        self.announce()
 
     def ask_for_evaluation(self, episodes: int) -> None:
         with self._changed:
@@ -203,7 +234,7 @@ class Hub:
             if self._fleet.finished:
                 return self._no(f"{FINISHED}: nothing is left to do for run {self._run!r}", final=True)
             slot = self._fleet.join(join.incarnation, physics, time.monotonic())
-            generation = slot.given - 1
+            generation, restore = slot.given - 1, slot.start is not None and slot.start.environment is not None
         self._on_event(
             "info",
             "actor_joined",
@@ -211,7 +242,7 @@ class Hub:
             f"incarnation {join.incarnation}",
         )
         settings = self._settings.model_dump_json()
-        return JoinReply(True, "", False, self._run, slot.number, generation, settings)
+        return JoinReply(True, "", False, self._run, slot.number, generation, settings, restore)
 
     def _no(self, reason: str, *, final: bool) -> JoinReply:
         return JoinReply(False, reason, final, self._run, 0, 0, "")
@@ -259,6 +290,7 @@ class Hub:
             return PushReply("busy", "the learner's queue is full")
         with self._changed:
             answer = self._fleet.admit(rollout)
+            self._changed.notify_all()  # one that the log has already counts at once
         if answer is None:
             self._log.write("/rollout", request.payload, on_durable=lambda: self._logged(rollout, request))
         return answer

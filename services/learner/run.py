@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass
 
@@ -15,14 +15,19 @@ from common.log.records import encode_json
 from common.log.writer import LogWriter
 from common.settings import RunSettings
 from common.wire.messages import Evaluation, Rollout
+from services.learner.again import Again
+from services.learner.checkpoints import Checkpoints, KeptEnvironments
 from services.learner.display import Display, Status
 from services.learner.hub import Hub, make_snapshot
 from services.learner.scalars import Scalars
-from services.learner.statistics import Episodes, TrainingReturn, actor_seconds
+from services.learner.statistics import Episodes, actor_seconds
 from services.learner.trainer import Trainer
 
 TICK_S = 0.5
 """How often a waiting learner repeats its orders and looks after its actors."""
+
+FLUSH_S = 60.0
+"""How long the log may take to be written before environments are kept."""
 
 FAREWELL_S = 3.0
 """How long actors are given to hear that the run is over."""
@@ -37,6 +42,8 @@ class Step:
     rollouts: list[Rollout]
     metrics: dict[str, float]
     seconds: dict[str, float]
+    logged: bool
+    """Whether a resumed run's log has it already."""
 
 
 class Run:
@@ -52,7 +59,8 @@ class Run:
         display: Display,
         scalars: Scalars,
         stop: threading.Event,
-        keep_checkpoint: Callable[[Trainer], None],
+        checkpoints: Checkpoints,
+        again: Again,
     ) -> None:
         self._run = run
         self._settings = settings
@@ -62,12 +70,14 @@ class Run:
         self._display = display
         self._scalars = scalars
         self._stop = stop
-        self._keep_checkpoint = keep_checkpoint
-        self.returns = TrainingReturn(settings.updates)
+        self._checkpoints = checkpoints
+        self._again = again
+        self.returns = again.returns(settings.updates)
         self.physics: set[str] = set()
         self.digest = trainer.digest()
         self.trained_s = 0.0
         self._began_s: float | None = None
+        self._began_version = 0
         self._centres = 0
         self._log_busy_s = 0.0
 
@@ -77,8 +87,9 @@ class Run:
 
     @property
     def steps_per_s(self) -> float | None:
-        """Environment steps a second since the first rollout was begun; None before the first update."""
-        return self.env_steps / self.trained_s if self.trained_s else None
+        """Environment steps a second since the first new rollout was begun; None before the first update of it."""
+        steps = (self._trainer.version - self._began_version) * self._settings.batch_size
+        return steps / self.trained_s if self.trained_s else None
 
     def train(self) -> bool:
         """All updates; whether they were all made (else the run was asked to stop)."""
@@ -120,20 +131,21 @@ class Run:
             if rollouts is None:
                 return
             got_s = time.monotonic()
-            if self._began_s is None:
+            logged = self._again.covers(self._trainer.version)
+            if self._began_s is None and not logged:
                 self._began_s = got_s - max(sum(rollout.timing.values()) for rollout in rollouts)
+                self._began_version = self._trainer.version
+            environments = self._hub.environments.kept()
             metrics = self._trainer.update(rollouts)
             updated_s = time.monotonic()
             snapshot = self._publish()
             published_s = time.monotonic()
-            self.trained_s = updated_s - self._began_s
+            self.trained_s = 0.0 if self._began_s is None else updated_s - self._began_s
             version = self._trainer.version
             # The actors are at work again; what follows costs the run nothing.
             self.digest = self._trainer.digest()
-            if version % self._settings.log.policy_every == 0 or version == self._settings.updates:
-                self._log.write("/policy", snapshot)
-            if version % self._settings.log.checkpoint_every == 0 or version == self._settings.updates:
-                self._keep_checkpoint(self._trainer)
+            self._again.check(version, self.digest)
+            self._keep(version, snapshot, environments)
             seconds = {
                 "wait": got_s - asked_s,
                 "learner": updated_s - got_s,
@@ -141,7 +153,20 @@ class Run:
                 "record": time.monotonic() - published_s,
                 "log": self._log_seconds(),
             }
-            yield Step(version, self.digest, rollouts, metrics, seconds | _prefixed(actor_seconds(rollouts)))
+            yield Step(version, self.digest, rollouts, metrics, seconds | _prefixed(actor_seconds(rollouts)), logged)
+
+    def _keep(self, version: int, snapshot: bytes, environments: KeptEnvironments | None) -> None:
+        """Policy, checkpoint, and the environments of the version before, which its checkpoint goes on from."""
+        log = self._settings.log
+        last = version == self._settings.updates
+        if (version % log.policy_every == 0 or last) and not self._again.holds("/policy", version):
+            self._log.write("/policy", snapshot)
+        if environments is not None:
+            # Whoever finds them finds the update to their version in the log.
+            self._log.flush(timeout_s=FLUSH_S)
+            self._checkpoints.keep_environments(environments)
+        if version % log.checkpoint_every == 0 or last:
+            self._checkpoints.keep(version, self._trainer.state_arrays())
 
     def _log_seconds(self) -> float:
         """Seconds the log's thread was at work since the last call, beside the loop."""
@@ -160,10 +185,12 @@ class Run:
 
     def _collect(self) -> list[Rollout] | None:
         """The rollouts of this version; None when the run is asked to stop."""
+        version = self._trainer.version
         while not self._stop.is_set():
-            rollouts = self._hub.rollouts(TICK_S)
-            if rollouts is not None:
+            if (rollouts := self._again.by_log(version) or self._hub.rollouts(TICK_S)) is not None:
                 return rollouts
+            if self._again.give_up_acting(version):
+                continue
             self._tick("training" if self._trainer.version else "starting", self._hub.waiting_for())
         return None
 
@@ -175,7 +202,7 @@ class Run:
 
     def _publish(self) -> bytes:
         snapshot = make_snapshot(self._run, self._trainer.version, self._trainer.policy_arrays())
-        return self._hub.begin(snapshot, collect=self._trainer.version < self._settings.updates)
+        return self._again.begin(snapshot, self._settings)
 
     # -- what is made of an update -------------------------------------------------------------------------
 
@@ -183,7 +210,14 @@ class Run:
         episodes = Episodes.of(step.rollouts)
         self.returns.add(step.version, episodes)
         self.physics |= self._hub.engines()
-        if (record := episodes.record(step.version)) is not None:
+        self._centres = round(step.metrics.get("rkhs/centres", 0))
+        if not step.logged:
+            self._write(step, episodes)
+        self._show("training", "")
+
+    def _write(self, step: Step, episodes: Episodes) -> None:
+        record = episodes.record(step.version)
+        if record is not None and not self._again.holds("/episode", step.version):
             self._log.write("/episode", record)
         staleness = [step.version - 1 - rollout.policy_version for rollout in step.rollouts]
         update = {
@@ -193,6 +227,7 @@ class Run:
                 {
                     "slot": rollout.slot,
                     "incarnation": rollout.incarnation,
+                    "generation": rollout.generation,
                     "seq": rollout.seq,
                     "policy_version": rollout.policy_version,
                 }
@@ -209,14 +244,12 @@ class Run:
         }
         self._log.write("/update", update)
         self._hub.publish_metrics(encode_json(update))
-        self._centres = round(step.metrics.get("rkhs/centres", 0))
         self._scalars.add(
             self.env_steps,
             step.metrics
             | {f"seconds/{name}": value for name, value in step.seconds.items()}
             | {"run/steps_per_s": self.steps_per_s, "run/return": self.returns.newest},
         )
-        self._show("training", "")
 
     def _show(self, phase: str, text: str) -> None:
         status = Status(

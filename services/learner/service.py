@@ -13,15 +13,17 @@ from typing import Any
 from common.errors import LogWriteError, ReskpnError, SettingsError
 from common.log.writer import LogWriter
 from common.physics.assets import model_xml
-from common.run_directory import SUMMARY, prepare_run_dir, write_json
+from common.run_directory import SETTINGS, SUMMARY, prepare_run_dir, write_json
 from common.runtime import hardware, prepare_jax, software_versions, source_commit
 from common.settings import RunSettings
 from common.wire.endpoint import is_loopback
-from common.wire.messages import Evaluation, Snapshot, digest_arrays
+from common.wire.messages import Evaluation
 from common.wire.session import open_session
-from services.learner.checkpoints import write_checkpoint
+from services.learner.again import Again
+from services.learner.checkpoints import Checkpoints
 from services.learner.display import Display, make_display
 from services.learner.hub import Hub
+from services.learner.resume import Resumption, resume_run
 from services.learner.run import Run
 from services.learner.scalars import Scalars
 from services.learner.trainer import Trainer
@@ -30,15 +32,16 @@ INTERRUPTED = 130
 """Exit code of a run that was asked to stop, as a shell reports Ctrl-C."""
 
 
-def run_learner(settings: RunSettings, *, stop: threading.Event) -> int:
+def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = False) -> int:
     """Serve one run to its end, in this process. Returns the exit code: 0, or 130 where `stop` was set.
+
+    `resume`: go on with the unfinished run in `settings.run_dir`, whose settings these are.
 
     Raises:
         ReskpnError: anything that keeps the run from going on. The log is closed and whole then.
     """
     began_s = time.monotonic()
     refuse_open_doors(settings)
-    run = f"{settings.task}-{settings.learner}-s{settings.seed}-{secrets.token_hex(3)}"
     prepare_jax()
     with ExitStack() as stack:
         session = stack.enter_context(
@@ -49,7 +52,8 @@ def run_learner(settings: RunSettings, *, stop: threading.Event) -> int:
             )
         )
         # Only now: an address that is in use leaves no directory behind that looks like a run.
-        run_dir = prepare_run_dir(settings)
+        run_dir, resumption = _begin(settings, resume=resume)
+        run = resumption.run
         failures: list[LogWriteError] = []
 
         def on_log_error(error: LogWriteError) -> None:
@@ -65,14 +69,16 @@ def run_learner(settings: RunSettings, *, stop: threading.Event) -> int:
         scalars = Scalars(run_dir / "tensorboard")
         stack.callback(scalars.close)
         events = Events(log, display)
-        hub = Hub(run, settings, session, log, events.add)
-
-        def keep(trainer: Trainer) -> None:
-            arrays = trainer.state_arrays()
-            write_checkpoint(run_dir, Snapshot(run, trainer.version, digest_arrays(arrays), arrays))
-
+        for note in resumption.notes:
+            events.add("info", "resumed", note)
+        environments = resumption.logged_environments
+        hub = Hub(run, settings, session, log, events.add, starts=resumption.starts, logged_environments=environments)
         trainer = Trainer(settings)
-        loop = Run(run, settings, trainer, hub, log, display, scalars, stop, keep)
+        if resumption.arrays is not None:
+            trainer.restore(resumption.arrays)
+        again = Again(hub, resumption, events.add)
+        checkpoints = Checkpoints(run, run_dir)
+        loop = Run(run, settings, trainer, hub, log, display, scalars, stop, checkpoints, again)
         complete, evaluation = False, None
         try:
             complete = loop.train()
@@ -86,7 +92,7 @@ def run_learner(settings: RunSettings, *, stop: threading.Event) -> int:
             raise failures[0]
         summary = summarise(settings, run_dir, run, loop, evaluation, time.monotonic() - began_s)
         summary["complete"] = complete
-        if evaluation is not None:
+        if evaluation is not None and not again.holds("/eval", evaluation.version):
             log.write("/eval", _eval_record(evaluation))
         log.flush(timeout_s=60.0)
         write_json(run_dir / SUMMARY, summary)
@@ -94,6 +100,18 @@ def run_learner(settings: RunSettings, *, stop: threading.Event) -> int:
         for line in describe(summary, run_dir):
             display.note(line)
     return 0 if complete else INTERRUPTED
+
+
+def _begin(settings: RunSettings, *, resume: bool) -> tuple[Path, Resumption]:
+    """The run's directory, and what the run goes on from."""
+    fresh = Resumption(f"{settings.task}-{settings.learner}-s{settings.seed}-{secrets.token_hex(3)}")
+    if not resume:
+        return prepare_run_dir(settings), fresh
+    assert settings.run_dir is not None
+    resumption = resume_run(settings, settings.run_dir)
+    write_json(settings.run_dir / SETTINGS, settings.model_dump(mode="json"))
+    (settings.run_dir / SUMMARY).unlink(missing_ok=True)  # of a run that was stopped: it is not over
+    return settings.run_dir, resumption or fresh
 
 
 class Events:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -57,6 +57,12 @@ class TrainingReturn:
         if version > self.updates - max(1, self.updates // 10):
             self.late_sum += float(episodes.returns.sum())
             self.late_count += len(episodes.returns)
+
+    def recall(self, record: Mapping[str, float]) -> None:
+        """Take in an `/episode` record of the log instead, each episode with the mean of them all."""
+        count = int(record["count"])
+        mean = np.full(count, record["return_mean"], np.float32)
+        self.add(int(record["version"]), Episodes(mean, np.ones(count, np.int32)))
 
     @property
     def newest(self) -> float | None:

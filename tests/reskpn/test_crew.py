@@ -277,9 +277,9 @@ def learner_that(tmp_path: Path, then: str) -> str:
 
 @pytest.mark.parametrize(("then", "code"), [("exit 0", 0), ("exit 2", 2), ("kill -9 $$", 128 + 9)])
 def test_the_learners_end_is_the_runs_end(
-    stand_in: Callable[..., None], tmp_path: Path, until: Callable[..., None], then: str, code: int
+    stand_in: Callable[..., None], tmp_path: Path, capsys: pytest.CaptureFixture[str], then: str, code: int
 ) -> None:
-    """Its exit code is the run's; a signal is told as a shell does. Actors are stopped with it."""
+    """Its exit code is the run's; a signal is told as a shell does, with how to go on. Actors are stopped with it."""
     mark = tmp_path / "actor-was-there"
     stand_in(
         learner=learner_that(tmp_path, f"while ! test -e {mark}; do sleep 0.01; done; {then}"),
@@ -287,6 +287,8 @@ def test_the_learners_end_is_the_runs_end(
     )
     asked = RunSettings.model_validate({"run_dir": tmp_path, "actors": 1, "seed": 4})
     assert train(asked) == code
+    hint = f"the learner was ended by signal 9; go on with: reskpn train --resume {tmp_path}"
+    assert (hint in capsys.readouterr().err) is (code == 128 + 9)
     assert (tmp_path / "actor-has-left").exists()
     # The learner was given all settings, with the run's directory and the endpoint that was chosen.
     given = load(config=str(tmp_path / "given.json"), environment={})

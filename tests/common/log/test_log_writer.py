@@ -36,6 +36,7 @@ def one_of_each() -> dict[str, bytes | dict[str, Any]]:
             "staleness": {"min": 0, "mean": 0.0, "max": 0},
         },
         "/policy": b"\x93\x01\x02\x03",
+        "/environment": b"\x81\xa3run",
         "/episode": {"version": 1, "count": 2, "return_mean": 1.5},
         "/event": {"level": "info", "name": "joined", "text": "actor 0 joined", "slot": 0},
         "/eval": {"version": 1, "episodes": 4, "return_mean": 10.0},

@@ -21,6 +21,8 @@ def test_keys_as_documented():
     keys = Keys("hopper-1")
     assert keys.rollout(3) == "reskpn/v1/hopper-1/rollout/3"
     assert keys.evaluation(0) == "reskpn/v1/hopper-1/evaluation/0"
+    assert keys.environment(4) == "reskpn/v1/hopper-1/environment/4"
+    assert keys.environments == "reskpn/v1/hopper-1/environment/*"
     assert keys.heartbeat(12) == "reskpn/v1/hopper-1/heartbeat/12"
     assert keys.alive("actor", "5f") == "reskpn/v1/hopper-1/alive/actor/5f"
     assert keys.rollouts == "reskpn/v1/hopper-1/rollout/*"

@@ -15,6 +15,7 @@ from common.errors import CodecError
 from common.wire import codec
 from common.wire.codec import SCHEMA_VERSION, Limits
 from common.wire.messages import (
+    Environment,
     Evaluation,
     Heartbeat,
     Join,
@@ -107,6 +108,13 @@ def snapshots(draw):
 
 
 @st.composite
+def environments(draw):
+    arrays = draw(snapshots()).arrays
+    place = (draw(run), draw(slot), draw(name), draw(count), draw(count), draw(count))
+    return Environment(*place, digest_arrays(arrays), arrays)
+
+
+@st.composite
 def evaluations(draw):
     episodes = draw(st.integers(1, 4))
     returns = draw(nps.arrays(np.float32, episodes, elements=finite))
@@ -122,6 +130,7 @@ any_message = st.one_of(
     st.builds(PushReply, st.sampled_from(["accepted", "busy", "refused"]), name),
     st.builds(Orders, run, count, name, count, per_slot, per_slot, st.booleans(), count),
     snapshots(),
+    environments(),
     st.builds(Heartbeat, run, slot, name, states, count, count, amount, amount, count),
     evaluations(),
 )
@@ -129,13 +138,14 @@ any_message = st.one_of(
 ARRAYS = {"b/w": np.ones((2, 3), np.float32), "a": np.arange(3, dtype=np.int32)}
 EXAMPLES = [
     Join("", "actor", "i", {"jax": "0.10.2"}, {"cpu": "2"}, "native"),
-    JoinReply(True, "", False, "r", 0, 2, "{}"),
+    JoinReply(True, "", False, "r", 0, 2, "{}", True),
     make_rollout(),
     PushReply("busy", "queue full"),
-    Orders("r", 3, "d", 99, {0: 2, 7: 1}, {1: 16}, False, 5),
+    Orders("r", 3, "d", 99, {0: 2, 7: 1}, {1: 16}, False, 5, True),
     Snapshot("r", 3, digest_arrays(ARRAYS), ARRAYS),
     Heartbeat("r", 0, "i", "collecting", 3, 4096, 1000.0, 0.25, 5),
     Evaluation("r", 0, "i", 3, np.float32([1.5]), np.int32([1000])),
+    Environment("r", 0, "i", 2, 5, 3, digest_arrays(ARRAYS), ARRAYS),
 ]
 FIELDS = [
     pytest.param(message, field.name, id=f"{type(message).__name__}.{field.name}")
@@ -243,7 +253,10 @@ def test_messages_are_not_mistaken():
     for message in EXAMPLES:
         for other in EXAMPLES:
             if type(other) is not type(message):
-                assert refusal(type(other), message.encode()).reason == "missing_field"
+                # An environment has all that a snapshot has, and more.
+                known = (type(other), type(message)) == (Snapshot, Environment)
+                reason = "unknown_field" if known else "missing_field"
+                assert refusal(type(other), message.encode()).reason == reason
 
 
 @pytest.mark.parametrize(
@@ -419,3 +432,17 @@ def test_digest_copies_nothing():
     finally:
         tracemalloc.stop()
     assert peak < 100_000
+
+
+def test_environments_whose_arrays_were_changed_are_refused():
+    """The digest covers them, so that nobody goes on from another state."""
+    changed = {**ARRAYS, "a": np.arange(1, 4, dtype=np.int32)}
+    whole = Environment("r", 4, "i", 2, 5, 3, digest_arrays(ARRAYS), ARRAYS)
+    error = refusal(Environment, with_raw(whole, arrays=changed))
+    assert error.reason == "bad_digest"
+    assert str(error).startswith("environment of slot 4 says digest")
+
+
+def test_the_place_of_a_rollout():
+    """Slot, generation and number: the same for whoever makes it."""
+    assert make_rollout(slot=3, generation=2, seq=9, incarnation="x").place == (3, 2, 9)

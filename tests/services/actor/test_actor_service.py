@@ -17,15 +17,17 @@ import numpy as np
 import pytest
 from samples import RUN, rollout, settings, snapshot
 
-from common.errors import RefusedError, SessionError
+from common.errors import CodecError, PhysicsError, RefusedError, SessionError
 from common.log.writer import LogWriter
 from common.settings import TransportSettings
+from common.wire.messages import Environment, digest_arrays
 from common.wire.session import Session
 from services.actor import service
 from services.actor.collector import Experience, Place
 from services.actor.service import run_actor
 from services.actor.state_file import read_state
 from services.learner.hub import Hub
+from services.learner.slots import Start
 
 DEADLINE_S = 15.0
 TIMING = {"collect": 0.5}
@@ -70,6 +72,14 @@ class StandIn:
     def keep(self) -> None:
         self.seq += 1
 
+    def environments(self) -> dict[str, np.ndarray]:
+        return {"seq": np.array(self.seq, np.int32)}
+
+    def restore(self, arrays: dict[str, np.ndarray], seq: int) -> None:
+        if "seq" not in arrays:
+            raise CodecError("bad_fields", "no seq")
+        self.seq = seq
+
 
 @pytest.fixture
 def stand_in(monkeypatch: pytest.MonkeyPatch) -> type[StandIn]:
@@ -98,11 +108,13 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> type[StandIn]:
 class Learner:
     """A hub, its log and its session."""
 
-    def __init__(self, session: Session, directory: Path, **changes: Any) -> None:
+    def __init__(self, session: Session, directory: Path, starts: Any = (), **changes: Any) -> None:
         self.session = session
         self.log = LogWriter(directory)
         self.events: list[tuple[str, str, str]] = []
-        self.hub = Hub(RUN, settings(**changes), session, self.log, lambda *event: self.events.append(event))
+        self.hub = Hub(
+            RUN, settings(**changes), session, self.log, lambda *event: self.events.append(event), starts=starts
+        )
         self.hub.begin(snapshot(0))
         self.hub.open()
 
@@ -371,3 +383,57 @@ def test_the_runs_own_engine_wins(
     assert engines == ["native", "mjx"]
     joined = [line for line in actors.said if line.startswith("joined")]
     assert [line.split(" with ")[1] for line in joined] == ["native physics", "mjx physics"]
+
+
+def test_environments_are_handed_in_before_they_are_used(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn]
+) -> None:
+    """Once, where the orders ask for it: as they were when the first rollout of that version began."""
+    learner = learners(actors=1, num_envs=2)
+    done = actors()
+    assert learner.batch() == [0.0]
+    learner.hub.begin(snapshot(1), hand_in=True)
+    assert learner.batch() == [1.0]
+    kept = learner.hub.environments.kept()
+    assert kept is not None
+    state = Environment.decode(kept.states[0])
+    assert (state.version, state.generation, state.seq, state.arrays["seq"]) == (1, 0, 1, 1)
+    learner.hub.begin(snapshot(2))
+    assert learner.batch() == [2.0]
+    learner.hub.finish()
+    assert done.result(DEADLINE_S) == 0
+
+
+def kept_state(**arrays: np.ndarray) -> Start:
+    return Start.of(Environment(RUN, 0, "old", 2, 7, 5, digest_arrays(arrays), arrays).encode())
+
+
+def test_an_actor_goes_on_with_what_it_is_given(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn]
+) -> None:
+    """Generation and number of a resumed slot, from the first rollout on."""
+    learner = learners(actors=1, num_envs=2, starts=[kept_state(seq=np.array(7, np.int32))])
+    done = actors()
+    assert learner.batch() == [0.0]
+    assert stand_in.made == [(Place(0, 2), 7, 0.0)]
+    learner.hub.finish()
+    assert done.result(DEADLINE_S) == 0
+
+
+def test_environments_of_another_engine(learners: Callable[..., Learner], actors: Any) -> None:
+    """Are no reason to begin with others: the sentence names the engine and what to do."""
+    learners(actors=1, num_envs=2, starts=[kept_state(other=np.zeros(1, np.float32))])
+    with pytest.raises(PhysicsError, match=r"slot 0 goes on from do not fit the native engine here .*--physics"):
+        actors().result(DEADLINE_S)
+
+
+def test_a_lost_learner_is_waited_for_as_long_as_it_was_said(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn]
+) -> None:
+    """Then the actor gives up, as it does for the first."""
+    learner = learners(actors=1, num_envs=2)
+    done = actors(rejoin_timeout_s=0.2)
+    assert learner.batch() == [0.0]
+    learner.close()
+    with pytest.raises(SessionError, match=r"within 0\.2 s"):
+        done.result(DEADLINE_S)

@@ -371,3 +371,30 @@ def test_an_evaluation_is_deterministic(
     np.testing.assert_array_equal(evaluated[1], lengths)
     # The policy counts: with the mean alone some episodes are shorter than others, or than the limit.
     assert lengths.min() < EPISODE
+
+
+def test_environments_go_on_elsewhere(
+    reader: PolicyReader, policy: Policy, used: tuple[Collector, list[Experience]]
+) -> None:
+    """Handed to another collector of the same place, which makes the rollouts that would have followed, bit for bit."""
+    collector = make_collector(reader)
+    for _ in range(2):
+        collector.collect(policy)
+        collector.keep()
+    heir = make_collector(reader)
+    heir.collect(policy)  # not kept: of no consequence
+    heir.restore(collector.environments(), collector.seq)
+    for following in used[1][2:5]:
+        assert_same(heir.collect(policy).arrays, following.arrays)
+        heir.keep()
+    assert heir.seq == 5
+
+
+def test_environments_of_other_settings_are_refused(reader: PolicyReader) -> None:
+    """With the name of what does not fit; the collector's own stay."""
+    collector = make_collector(reader)
+    arrays = collector.environments()
+    with pytest.raises(CodecError, match="obs is float32"):
+        collector.restore({**arrays, "obs": arrays["obs"][:1]}, 3)
+    assert collector.seq == 0
+    assert_same(collector.environments(), arrays)

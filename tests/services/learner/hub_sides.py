@@ -54,7 +54,9 @@ class HeldLog:
 class Learner:
     """A hub at version 0 on a session of its own, and what it wrote and told."""
 
-    def __init__(self, session: Session, directory: Path, **changes: Any) -> None:
+    def __init__(
+        self, session: Session, directory: Path, starts: Any = (), logged_environments: Any = (), **changes: Any
+    ) -> None:
         self.settings = settings(**changes)
         self.directory = directory
         self.writer = LogWriter(directory)
@@ -62,7 +64,15 @@ class Learner:
         self.events: Queue[tuple[str, str, str]] = Queue()
         self.session = session
         log: Any = self.log
-        self.hub = Hub(RUN, self.settings, session, log, lambda *event: self.events.put(event))
+        self.hub = Hub(
+            RUN,
+            self.settings,
+            session,
+            log,
+            lambda *event: self.events.put(event),
+            starts=starts,
+            logged_environments=logged_environments,
+        )
         self.hub.begin(snapshot(0))
         self.hub.open()
 

@@ -10,7 +10,15 @@ import pytest
 from samples import snapshot
 
 from common.errors import CheckpointError
-from services.learner.checkpoints import list_checkpoints, read_checkpoint, write_checkpoint
+from services.learner.checkpoints import (
+    KeptEnvironments,
+    list_checkpoints,
+    put_aside,
+    read_checkpoint,
+    read_environments,
+    write_checkpoint,
+    write_environments,
+)
 
 
 def test_a_state_comes_back_as_it_was_kept(tmp_path: Path) -> None:
@@ -99,3 +107,50 @@ def test_a_write_that_fails_leaves_the_older_ones(tmp_path: Path, monkeypatch: p
         write_checkpoint(tmp_path, snapshot(2))
     assert list((tmp_path / "checkpoints").iterdir()) == [older]
     assert read_checkpoint(older).version == 1
+
+
+def environments(version: int) -> KeptEnvironments:
+    """Of three slots, the second without an actor."""
+    return KeptEnvironments("run-1", version, [1, 4, 2], {0: b"state of 0", 2: b"state of 2"})
+
+
+def test_environments_come_back_as_they_were_handed_in(tmp_path: Path) -> None:
+    """Beside the checkpoint of their version; None where there are none."""
+    path = write_checkpoint(tmp_path, snapshot(7))
+    assert read_environments(path) is None
+    assert write_environments(tmp_path, environments(7)) == path.with_suffix(".env")
+    assert read_environments(path) == environments(7)
+    assert list_checkpoints(tmp_path) == [path]
+
+
+def test_damaged_environments_are_refused(tmp_path: Path) -> None:
+    """As a checkpoint is; and so is another file in their place."""
+    path = write_checkpoint(tmp_path, snapshot(7))
+    kept = write_environments(tmp_path, environments(7))
+    whole = kept.read_bytes()
+    kept.write_bytes(whole[:-1])
+    with pytest.raises(CheckpointError, match=r"00000007\.env is damaged"):
+        read_environments(path)
+    kept.write_bytes(path.read_bytes())
+    with pytest.raises(CheckpointError, match=r"00000007\.env holds no environments"):
+        read_environments(path)
+
+
+def test_the_newest_with_environments_is_kept(tmp_path: Path) -> None:
+    """Whatever came after it without: the run can go on from it alone. Those of an older one go with it."""
+    for version in (5, 10, 15, 20, 25):
+        write_checkpoint(tmp_path, snapshot(version))
+        if version <= 10:
+            write_environments(tmp_path, environments(version))
+    names = sorted(path.name for path in (tmp_path / "checkpoints").iterdir())
+    assert names == [f"000000{name}" for name in ("10.ckpt", "10.env", "15.ckpt", "20.ckpt", "25.ckpt")]
+
+
+def test_what_is_put_aside_is_not_listed(tmp_path: Path) -> None:
+    """State and environments stay, under another name."""
+    path = write_checkpoint(tmp_path, snapshot(7))
+    write_environments(tmp_path, environments(7))
+    put_aside(path)
+    assert list_checkpoints(tmp_path) == []
+    names = sorted(path.name for path in (tmp_path / "checkpoints").iterdir())
+    assert names == ["00000007.ckpt.bad", "00000007.env.bad"]

@@ -1,0 +1,36 @@
+"""What `--resume` means: which run, with which settings, and whether there is anything left to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from common.errors import SettingsError
+from common.resumed_settings import holds_run, read_interrupted, resumed_settings
+from common.settings import RunSettings
+
+AUTO = "auto"
+
+
+def settings_to_resume(run_dir: Path, load: Callable[[RunSettings], RunSettings]) -> RunSettings | None:
+    """The settings to go on with; None, which is said, where the run is complete and no more steps are asked for.
+
+    `load` puts what is given now over the settings of the run. SettingsError as `resumed_settings`.
+    """
+    found = read_interrupted(run_dir)
+    settings = resumed_settings(found, load)
+    if found.complete and settings.updates == found.settings.updates:
+        print(
+            f"{run_dir}: this run has finished, with {settings.updates} updates; "
+            "give more --total-steps to go on with it",
+            flush=True,
+        )
+        return None
+    return settings
+
+
+def run_to_resume(settings: RunSettings) -> str | None:
+    """For `--resume auto`: the run's directory where a run was begun in it, else None."""
+    if settings.run_dir is None:
+        raise SettingsError(f"--resume {AUTO} needs --run-dir: the directory to look for an unfinished run in")
+    return str(settings.run_dir) if holds_run(settings.run_dir) else None

@@ -1,0 +1,127 @@
+"""What the log of an interrupted run says of it: read once, whole, before the run is resumed."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from common.errors import LogReadError
+from common.log.reader import LogReader
+from common.log.records import LogMessage
+from common.log.segments import find_segments
+from common.wire.messages import Environment, Rollout, Snapshot
+from services.learner.slots import Place
+from services.learner.tail import LoggedUpdate, place_of, read_updates
+
+UNUSED_UPDATES = 2
+"""Rollouts that no update has used yet lie after the last update but one."""
+
+
+@dataclass(frozen=True)
+class UpdateEntry:
+    """One `/update` without its rollouts: digest of the state it led to, and the places of what it used."""
+
+    digest: str
+    places: tuple[Place, ...]
+
+
+@dataclass
+class LoggedRun:
+    """The records of a log that decide how a run goes on.
+
+    Attributes:
+        updates: by the version they led to.
+        unused: rollouts of the last version that no update has used.
+        episodes: the `/episode` records.
+        environments: (version, slot, generation) of the environment states in the log.
+        ahead: (topic, version) of records beyond the last update.
+    """
+
+    segments: list[Path]
+    updates: dict[int, UpdateEntry] = field(default_factory=dict)
+    unused: list[Rollout] = field(default_factory=list)
+    episodes: list[dict[str, Any]] = field(default_factory=list)
+    environments: set[tuple[int, int, int]] = field(default_factory=set)
+    ahead: set[tuple[str, int]] = field(default_factory=set)
+    first_version: list[int | None] = field(default_factory=list)
+    """Version of the first update in each segment; None where it has none."""
+
+    @property
+    def last(self) -> int:
+        """Version of the last update, 0 where there is none."""
+        return max(self.updates, default=0)
+
+    def places(self, after: int) -> list[tuple[Place, ...]]:
+        """Places of the rollouts of every update after that version.
+
+        Raises:
+            LogReadError: the log lacks one of them.
+        """
+        versions = range(after + 1, self.last + 1)
+        if missing := [version for version in versions if version not in self.updates]:
+            raise LogReadError(f"the log {self.segments[0].parent} lacks update {missing[0]}; restore it from a copy")
+        return [self.updates[version].places for version in versions]
+
+    def updates_after(self, version: int) -> Iterator[LoggedUpdate]:
+        """The updates after that version with their rollouts, read as they are asked for."""
+        # What belongs to version v is not written before the update to v - 1.
+        early = [n for n, first in enumerate(self.first_version) if first is not None and first < version]
+        readers = [LogReader(path) for path in self.segments[max(early, default=0) :]]
+        return read_updates(chain.from_iterable(r.messages(["/rollout", "/update"]) for r in readers), version)
+
+
+def read_logged_run(run_dir: Path, slots: int) -> LoggedRun:
+    """Read the log of a run of so many slots.
+
+    Raises:
+        LogReadError: there is none, or it is damaged.
+        CodecError: a message of it is not what its channel holds.
+    """
+    found = LoggedRun(find_segments(run_dir))
+    newest: dict[str, LogMessage] = {}
+    rollouts: deque[bytes] = deque(maxlen=(UNUSED_UPDATES + 1) * slots)
+    for path in found.segments:
+        first: int | None = None
+        for message in LogReader(path).messages():
+            newest[message.topic] = message
+            if message.topic == "/rollout":
+                rollouts.append(message.data)
+            elif message.topic == "/update":
+                version = _add_update(found, message.json())
+                first = version if first is None else first
+            elif message.topic == "/episode":
+                found.episodes.append(message.json())
+            elif message.topic == "/environment":
+                kept = Environment.decode(message.data)
+                found.environments.add((kept.version, kept.slot, kept.generation))
+        found.first_version.append(first)
+    _look_beyond(found, newest, rollouts)
+    return found
+
+
+def _add_update(found: LoggedRun, record: dict[str, Any]) -> int:
+    version = int(record["version"])
+    found.updates[version] = UpdateEntry(record["state_digest"], tuple(place_of(used) for used in record["rollouts"]))
+    return version
+
+
+def _look_beyond(found: LoggedRun, newest: dict[str, LogMessage], rollouts: deque[bytes]) -> None:
+    last = found.last
+    used = {place for version in range(last - UNUSED_UPDATES, last + 1) for place in _places(found, version)}
+    decoded = [Rollout.decode(data) for data in rollouts]
+    found.unused = [made for made in decoded if made.policy_version == last and made.place not in used]
+    versions: dict[str, int] = {
+        topic: newest[topic].json()["version"] for topic in ("/episode", "/eval") if topic in newest
+    }
+    if "/policy" in newest:
+        versions["/policy"] = Snapshot.decode(newest["/policy"].data).version
+    found.ahead = {(topic, version) for topic, version in versions.items() if version > last or topic == "/eval"}
+
+
+def _places(found: LoggedRun, version: int) -> tuple[Place, ...]:
+    entry = found.updates.get(version)
+    return () if entry is None else entry.places

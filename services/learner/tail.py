@@ -1,0 +1,140 @@
+"""The tail of a resumed run's log: what is in it after the checkpoint that the run goes on from."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from common.errors import LogReadError
+from common.log.records import LogMessage
+from common.wire.messages import Rollout
+from services.learner.slots import Place, Start
+
+OF_UPDATES = ("/policy", "/episode")
+
+
+@dataclass(frozen=True)
+class LoggedUpdate:
+    """One `/update` of the log: the version it led to, the digest of that state, and the rollouts used, in order."""
+
+    version: int
+    digest: str
+    rollouts: list[Rollout]
+
+
+class Tail:
+    """The updates of the log after a checkpoint, read as they are asked for, and what it holds beyond them.
+
+    Args:
+        last: version of the last update in the log.
+        updates: those after the checkpoint, in order.
+        unused: rollouts of version `last` that no update has used yet.
+        ahead: (topic, version) of records that were written ahead of their update, and so must not be written again.
+    """
+
+    def __init__(
+        self,
+        last: int = 0,
+        updates: Iterable[LoggedUpdate] = (),
+        unused: Sequence[Rollout] = (),
+        ahead: Collection[tuple[str, int]] = (),
+    ) -> None:
+        self.last = last
+        self.unused = list(unused)
+        self._updates = iter(updates)
+        self._ahead = frozenset(ahead)
+        self._next: LoggedUpdate | None = None
+
+    def after(self, version: int) -> LoggedUpdate | None:
+        """The update of that version to the next, or None where the log has none. Versions must not decrease.
+
+        Raises:
+            LogReadError: the log is damaged, or lacks an update before its last.
+        """
+        while version < self.last and (self._next is None or self._next.version <= version):
+            self._next = next(self._updates, None)
+            if self._next is None:
+                raise LogReadError(
+                    f"the log has no update {version + 1}, but one to {self.last}; restore it from a copy"
+                )
+        return self._next if version < self.last else None
+
+    def rollouts(self, version: int) -> list[Rollout]:
+        """What the log holds of a version's rollouts, used or not."""
+        if (update := self.after(version)) is not None:
+            return update.rollouts
+        return self.unused if version == self.last else []
+
+    def holds(self, topic: str, version: int) -> bool:
+        """Whether the log has that record already. What belongs to an update is written before it."""
+        return (topic in OF_UPDATES and version <= self.last) or (topic, version) in self._ahead
+
+
+def read_updates(messages: Iterable[LogMessage], after: int) -> Iterator[LoggedUpdate]:
+    """The updates to versions beyond `after` out of `/rollout` and `/update` messages.
+
+    Raises:
+        LogReadError: an update names a rollout that is not before it.
+        CodecError: a rollout is not one.
+    """
+    waiting: dict[Place, Rollout] = {}
+    for message in messages:
+        if message.topic == "/rollout":
+            rollout = Rollout.decode(message.data)
+            if rollout.policy_version >= after:
+                waiting[rollout.place] = rollout
+            continue
+        update = message.json()
+        if update["version"] <= after:
+            continue
+        places = [place_of(used) for used in update["rollouts"]]
+        if missing := [place for place in places if place not in waiting]:
+            raise LogReadError(
+                f"update {update['version']} names rollout {missing[0][2]} of slot {missing[0][0]}, which is not in "
+                "the log before it; restore the log from a copy"
+            )
+        yield LoggedUpdate(update["version"], update["state_digest"], [waiting.pop(place) for place in places])
+
+
+def place_of(used: dict[str, int]) -> Place:
+    """The place of a rollout as `/update` names it."""
+    return used["slot"], used["generation"], used["seq"]
+
+
+def departure(
+    starts: Sequence[Start], updates: Sequence[Collection[Place]], unused: Collection[Place], version: int
+) -> str | None:
+    """Why acting again from `starts` cannot make the rollouts of the log; None where it can.
+
+    Args:
+        updates: places of the rollouts of each update, from `version` on.
+        unused: those of the rollouts after them.
+    """
+    for count, places in enumerate([*updates, unused]):
+        expected = {(slot, start.generation, start.seq + count) for slot, start in enumerate(starts)}
+        complete = count == len(updates) or len(places) == len(expected)
+        if not complete or not set(places) <= expected:
+            return f"version {version + count} of the run was not acted by one and the same actor in every slot"
+    return None
+
+
+def difference(logged: Rollout, made: Rollout) -> str | None:
+    """What differs first between two rollouts of one place, bit for bit; None where nothing does.
+
+    When they were sent, by whom and how long they took does not count.
+    """
+    if logged.policy_version != made.policy_version:
+        return f"policy {logged.policy_version} acted in the log, policy {made.policy_version} now"
+    for field in fields(Rollout):
+        old, new = getattr(logged, field.name), getattr(made, field.name)
+        if not isinstance(old, np.ndarray):
+            continue
+        if old.shape != new.shape:
+            return f"{field.name} has shape {list(old.shape)} in the log and {list(new.shape)} now"
+        bits = np.ascontiguousarray(old).view(np.uint8) != np.ascontiguousarray(new).view(np.uint8)
+        if bits.any():
+            where = tuple(int(i) for i in np.argwhere(bits.reshape(*old.shape, old.itemsize).any(-1))[0])
+            return f"{field.name}{list(where)} is {old[where]!s} in the log and {new[where]!s} now"
+    return None

@@ -1,0 +1,103 @@
+"""`--resume` on the command line: what is gone on with, what is over, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import reskpn.train
+import services.learner.service
+from common.log.writer import LogWriter
+from common.settings import RunSettings
+from reskpn.cli import main
+
+BASE: dict[str, Any] = {"num_envs": 8, "num_steps": 8, "total_steps": 640, "algorithm": {"minibatches": 2}, "seed": 4}
+
+
+@pytest.fixture(autouse=True)
+def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in os.environ if name.startswith("RESKPN_")]:
+        monkeypatch.delenv(name)
+
+
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, RunSettings, bool]]:
+    """Instead of running: which command began, with which settings, and whether it resumes."""
+    calls: list[tuple[str, RunSettings, bool]] = []
+
+    def train(settings: RunSettings, *, resume: bool = False) -> int:
+        calls.append(("train", settings, resume))
+        return 0
+
+    def run_learner(settings: RunSettings, *, stop: object, resume: bool = False) -> int:
+        calls.append(("learner", settings, resume))
+        return 0
+
+    monkeypatch.setattr(reskpn.train, "train", train)
+    monkeypatch.setattr(services.learner.service, "run_learner", run_learner)
+    return calls
+
+
+@pytest.fixture
+def run_dir(tmp_path: Path) -> Path:
+    """A run that was interrupted; its learner listened on port 4000."""
+    settings = RunSettings.model_validate(BASE | {"transport": {"endpoint": "tcp/127.0.0.1:4000"}})
+    with LogWriter(tmp_path / "run" / "log", metadata={"settings": {"json": settings.model_dump_json()}}):
+        pass
+    return tmp_path / "run"
+
+
+def test_train_resumes_with_the_settings_of_the_run(begun: list[Any], run_dir: Path) -> None:
+    """And chooses a port of its own: of the old processes none is left."""
+    assert main(["train", "--resume", str(run_dir)]) == 0
+    ((command, settings, resume),) = begun
+    assert (command, resume, settings.seed, settings.run_dir) == ("train", True, 4, run_dir)
+    assert "endpoint" not in settings.transport.model_fields_set
+
+
+@pytest.mark.parametrize("how", [["--resume", "{}"], ["--resume", "auto", "--run-dir", "{}"]])
+def test_a_learner_resumes_where_it_was(begun: list[Any], run_dir: Path, how: list[str]) -> None:
+    """On the endpoint that its actors know."""
+    assert main(["learner", *(word.format(run_dir) for word in how)]) == 0
+    ((command, settings, resume),) = begun
+    assert (command, resume, settings.seed) == ("learner", True, 4)
+    assert settings.transport.endpoint == "tcp/127.0.0.1:4000"
+
+
+def test_auto_starts_a_run_where_there_is_none(begun: list[Any], tmp_path: Path) -> None:
+    """The same command of a container serves both."""
+    assert main(["learner", "--resume", "auto", "--run-dir", str(tmp_path / "new"), "--seed", "9"]) == 0
+    ((_, settings, resume),) = begun
+    assert (resume, settings.seed) == (False, 9)
+
+
+@pytest.mark.parametrize(("more", "begins"), [([], False), (["--total-steps", "1280"], True)])
+def test_a_finished_run(
+    begun: list[Any], run_dir: Path, capsys: pytest.CaptureFixture[str], more: list[str], begins: bool
+) -> None:
+    """Is said to be one, which is no error; with more steps it goes on."""
+    (run_dir / "summary.json").write_text(json.dumps({"complete": True}))
+    assert main(["train", "--resume", str(run_dir), *more]) == 0
+    assert len(begun) == begins
+    assert ("this run has finished, with 10 updates; give more --total-steps" in capsys.readouterr().out) is not begins
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["train", "--resume", "{}/nowhere"], "no run was begun there; give the directory of a run"),
+        (["train", "--resume", "{}", "--seed", "5"], "leave out seed (it is 4, given 5), or start another run"),
+        (["learner", "--resume", "auto"], "--resume auto needs --run-dir"),
+    ],
+)
+def test_what_is_refused(
+    begun: list[Any], run_dir: Path, capsys: pytest.CaptureFixture[str], words: list[str], sentence: str
+) -> None:
+    """With exit code 2 and a sentence, before anything begins."""
+    assert main([word.format(run_dir) for word in words]) == 2
+    assert sentence in capsys.readouterr().err
+    assert begun == []
