@@ -74,12 +74,7 @@ def resume_run(settings: RunSettings, run_dir: Path) -> Resumption | None:
     run = LogReader(run_dir).metadata().get("run", {}).get("run")
     if run is None:
         return None
-    try:
-        logged = read_logged_run(run_dir, settings.actors)
-    except (CodecError, KeyError) as error:
-        raise LogReadError(
-            f"the log in {run_dir} cannot be used: {error}; resume it with the release that wrote it"
-        ) from None
+    logged = _read(run_dir, settings.actors)
     found = pick(run, settings, run_dir, logged, notes)
     updates = logged.places(found.version)
     unused = [rollout.place for rollout in logged.unused]
@@ -102,6 +97,15 @@ def resume_run(settings: RunSettings, run_dir: Path) -> Resumption | None:
         episodes=[record for record in logged.episodes if record["version"] <= found.version],
         notes=notes,
     )
+
+
+def _read(run_dir: Path, slots: int) -> LoggedRun:
+    try:
+        return read_logged_run(run_dir, slots)
+    except (CodecError, KeyError) as error:
+        raise LogReadError(
+            f"the log in {run_dir} cannot be used: {error}; resume it with the release that wrote it"
+        ) from None
 
 
 def repair_log(run_dir: Path) -> list[str]:
