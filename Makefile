@@ -11,7 +11,7 @@ PHYSICS ?= auto
 ARGS ?=
 UPDATE_ARGS ?=
 
-.PHONY: help setup train test lint bench lock clean
+.PHONY: help setup train test test-chaos lint bench lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -28,6 +28,9 @@ train: setup  ## train; TASK=hopper LEARNER=ppo STEPS=3e6 ACTORS=1 SEED=0 PHYSIC
 
 test: setup  ## all tests that fit in a few minutes
 	@$(BIN)/python -m pytest
+
+test-chaos: setup  ## the long tests: what goes wrong in a run, at random and at the worst moments
+	@$(BIN)/python -m pytest tests/chaos -p no:randomly
 
 lint: setup  ## style, types and import rules
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports

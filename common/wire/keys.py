@@ -1,6 +1,7 @@
 """Every Zenoh key expression of the service.
 
 reskpn/v1/join                          asked by a process that knows only the learner's address
+reskpn/v1/status                        asked by whoever watches: the run and its actors at this moment
 reskpn/v1/<run>/rollout/<slot>          query push of rollouts
                /evaluation/<slot>       query push of evaluations
                /policy/notify           what the learner wants now, and the newest version
@@ -20,6 +21,7 @@ from common.errors import CodecError, SettingsError
 
 ROOT = "reskpn/v1"
 JOIN = f"{ROOT}/join"
+STATUS = f"{ROOT}/status"
 
 RUN_ID = re.compile(r"[a-z0-9][a-z0-9_.-]{0,79}")
 """What a run may be called: one chunk of a key, so no slash and none of Zenoh's `* $ ? # @`."""
