@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="reskpn",
         description="Residual Kernel Policy Network: kernel-policy reinforcement learning as a service.",
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="{train,learner,actor,status,doctor}")
     _add_train(commands)
     _add_learner(commands)
     _add_actor(commands)

@@ -7,7 +7,7 @@ reskpn/v1/<run>/rollout/<slot>          query push of rollouts
                /policy/notify           what the learner wants now, and the newest version
                /policy/latest           the newest snapshot, asked for
                /heartbeat/<slot>
-               /status                  the run at this moment, for dashboards
+               /status                  how far the run is, put for dashboards
                /alive/<role>/<id>       liveliness tokens
                /metrics                 the record of every update, for dashboards
 """

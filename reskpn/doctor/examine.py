@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
+from functools import cache
 
 from common.settings import RunSettings
 from reskpn.doctor.engines import check_jax, check_mjx, check_native, state_sizes
 from reskpn.doctor.findings import Finding, guarded
 from reskpn.doctor.machine import check_disk, check_memory, check_packages, check_python, check_writing
-from reskpn.doctor.needs import needs
+from reskpn.doctor.needs import Needs, needs
 from reskpn.doctor.reach import Answer, check_clock, check_port, check_zenoh
 
 PROBLEM = 1
@@ -18,11 +19,7 @@ PROBLEM = 1
 
 
 def doctor(settings: RunSettings, *, as_json: bool, full: bool) -> int:
-    """Print the findings, one a line or as one JSON object; returns 0, or 1 where there is a problem.
-
-    Raises:
-        SessionError: `transport.endpoint` is not an address.
-    """
+    """Print the findings, one a line or as one JSON object; returns 0, or 1 where there is a problem."""
     found = []
     for finding in examine(settings, full=full):
         found.append(finding)
@@ -40,10 +37,13 @@ def examine(settings: RunSettings, *, full: bool) -> Iterator[Finding]:
     yield guarded("packages", check_packages)
     jax = guarded("jax", check_jax)
     yield jax
-    policy_bytes, state_bytes = state_sizes(settings) if jax.level == "ok" else (0, 0)
-    needed = needs(settings, policy_bytes, state_bytes)
-    yield guarded("memory", lambda: check_memory(needed))
-    yield guarded("disk", lambda: check_disk(settings, needed))
+
+    @cache
+    def needed() -> Needs:
+        return needs(settings, *(state_sizes(settings) if jax.level == "ok" else (0, 0)))
+
+    yield guarded("memory", lambda: check_memory(needed()))
+    yield guarded("disk", lambda: check_disk(settings, needed()))
     yield guarded("writing", lambda: check_writing(settings))
     port, answer = _port(settings.transport.endpoint)
     yield port
