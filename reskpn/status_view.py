@@ -12,7 +12,7 @@ from common.wire.report import ActorReport, RunReport, VacancyReport
 LATE_S = 1.5
 COLUMNS = (
     "slot", "actor", "host", "state", "engine", "policy", "age", "steps/s", "heard", "accepted", "refused", "busy",
-    "repeated",
+    "again",
 )  # fmt: skip
 
 
@@ -74,7 +74,8 @@ def _table(report: RunReport) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for column in COLUMNS:
         left = column in ("actor", "host", "state", "engine")
-        table.add_column(column, justify="left" if left else "right", overflow="fold")
+        whole = column in ("slot", "actor", "state")
+        table.add_column(column, justify="left" if left else "right", overflow="fold", no_wrap=whole)
     newest = None if report.progress is None else report.progress.version
     rows = [(actor.slot, actor_row(actor, newest)) for actor in report.actors]
     rows += [(vacancy.slot, vacancy_row(vacancy)) for vacancy in report.vacancies]
