@@ -44,10 +44,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="reskpn",
         description="Residual Kernel Policy Network: kernel-policy reinforcement learning as a service.",
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="{train,learner,actor}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="{train,learner,actor,status,doctor}")
     _add_train(commands)
     _add_learner(commands)
     _add_actor(commands)
+    _add_status(commands)
+    _add_doctor(commands)
     given = parser.parse_args(arguments)
     try:
         code: int = given.call(given)
@@ -157,3 +159,41 @@ def _add_actor(commands: Any) -> None:
         "--state-file", type=Path, metavar="FILE", help="keep there what `python -m reskpn.health actor` reads"
     )
     parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)
+
+
+def _add_status(commands: Any) -> None:
+    def call(given: argparse.Namespace) -> int:
+        from reskpn.status import endpoint_of, status
+        from reskpn.supervised import stopping
+
+        here = endpoint_of(given.run_dir) if given.run_dir else load().transport.endpoint
+        with stopping(supervised=False) as stop:
+            return status(given.endpoint or here, as_json=given.json, watch=given.watch, stop=stop)
+
+    text = "ask a learner, from any machine that reaches it, how its run and every actor are"
+    epilog = f"The environment's {PREFIX}TRANSPORT__ENDPOINT counts as well.\n\n{EXIT_CODES}"
+    parser = _command(commands, "status", text, call, epilog)
+    parser.add_argument("--endpoint", metavar="ADDRESS", help="where the learner listens, tcp/HOST:PORT")
+    parser.add_argument("--run-dir", type=Path, metavar="DIR", help="instead: the directory of its run")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line, for machines")
+    parser.add_argument("--watch", action="store_true", help="again every second, until Ctrl-C")
+
+
+def _add_doctor(commands: Any) -> None:
+    def call(given: argparse.Namespace) -> int:
+        from reskpn.doctor.examine import doctor
+
+        settings = load(options, given, config=given.config)
+        if given.endpoint:
+            transport = settings.transport.model_copy(update={"endpoint": given.endpoint})
+            settings = settings.model_copy(update={"transport": transport})
+        return doctor(settings, as_json=given.json, full=given.full)
+
+    text = "check this machine before a run: versions, devices, memory, disk, port, clock, Zenoh, physics"
+    parser = _command(
+        commands, "doctor", text, call, _epilog() + "\nThe doctor's exit code is 1 where it finds a problem."
+    )
+    options: CliSettingsSource[Any] = add_options(parser)
+    parser.add_argument("--endpoint", metavar="ADDRESS", help="short for --transport.endpoint")
+    parser.add_argument("--json", action="store_true", help="one JSON object, for machines")
+    parser.add_argument("--full", action="store_true", help="compile a step with MJX as well (up to a minute)")

@@ -1,13 +1,14 @@
 """Every Zenoh key expression of the service.
 
 reskpn/v1/join                          asked by a process that knows only the learner's address
+reskpn/v1/status                        asked by whoever watches: the run and its actors at this moment
 reskpn/v1/<run>/rollout/<slot>          query push of rollouts
                /evaluation/<slot>       query push of evaluations
                /environment/<slot>      query push of environment states; asked with nothing, the one to go on from
                /policy/notify           what the learner wants now, and the newest version
                /policy/latest           the newest snapshot, asked for
                /heartbeat/<slot>
-               /status                  the run at this moment, for dashboards
+               /status                  how far the run is, put for dashboards
                /alive/<role>/<id>       liveliness tokens
                /metrics                 the record of every update, for dashboards
 """
@@ -21,6 +22,7 @@ from common.errors import CodecError, SettingsError
 
 ROOT = "reskpn/v1"
 JOIN = f"{ROOT}/join"
+STATUS = f"{ROOT}/status"
 
 RUN_ID = re.compile(r"[a-z0-9][a-z0-9_.-]{0,79}")
 """What a run may be called: one chunk of a key, so no slash and none of Zenoh's `* $ ? # @`."""

@@ -181,7 +181,10 @@ class Link:
         return False
 
     def _on_orders(self, key: str, data: bytes) -> None:
-        orders = Orders.decode(data)
+        try:
+            orders = Orders.decode(data)
+        except CodecError:
+            return  # the learner says them again in half a second
         with self._changed:
             self._orders = orders
             self._changed.notify_all()

@@ -17,6 +17,7 @@ from common.errors import RefusedError
 from common.wire.messages import Heartbeat, Orders, PushReply, Rollout
 from services.learner.comparison import Comparison
 from services.learner.slots import Counts, Member, Place, Slot, Start
+from services.learner.waiting import describe_missing
 
 ACCEPTED = PushReply("accepted", "")
 
@@ -243,21 +244,32 @@ class Fleet:
         evaluator = {} if self._evaluator is None or self._finished else {self._evaluator: self._episodes}
         return Orders(self._run, self._version, digest, size, collect, evaluator, self._finished, t_ns, self._hand_in)
 
-    def waiting_for(self) -> str:
-        """What holds the run up, for a person: "waiting for 1 of 2 rollouts: slot 1 compiling 12 s"."""
-        parts = []
+    def waiting_for(self, now_s: float) -> str:
+        """What holds the run up, for a person: "waiting for 1 of 2 rollouts: slot 1 compiling 12 s"; else empty."""
+        missing = len(self._slots) - len(self._taken)
+        if not missing or not self._collecting:
+            return ""
         done = {number for number, _, _ in self._taken}
-        for slot in self._slots:
-            if slot.number in done:
-                continue
-            if slot.member is None:
-                parts.append(f"slot {slot.number} has {'no actor yet' if slot.awaited else 'lost its actor'}")
-            else:
-                parts.append(f"slot {slot.number} {slot.member.state} {slot.member.state_s:.0f} s")
-        return f"waiting for {len(self._slots) - len(self._taken)} of {len(self._slots)} rollouts: {', '.join(parts)}"
+        written = {number for number, _, _ in self._under_way.values()} - done
+        who = describe_missing(self._slots, done, written, now_s)
+        return f"waiting for {missing} of {len(self._slots)} rollouts: {who}"
 
     def members(self) -> list[tuple[int, Member]]:
         return [(slot.number, slot.member) for slot in self._slots if slot.member is not None]
+
+    def was_held(self, slot: int) -> bool:
+        """Whether the slot has ever been given out."""
+        return self._slots[slot].given > 0
+
+    @property
+    def taken(self) -> int:
+        """Rollouts of this version that are in the log."""
+        return len(self._taken)
+
+    @property
+    def episodes(self) -> int:
+        """Episodes of the evaluation that is wanted; 0 while none is."""
+        return self._episodes
 
     @property
     def version(self) -> int:

@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import asdict
+from functools import partial
 
 from common.errors import CodecError, RefusedError
+from common.log.records import encode_json
 from common.log.writer import LogWriter
+from common.printable import printable
 from common.settings import RunSettings
 from common.tasks import TASKS
-from common.wire.keys import JOIN, Keys, parse_alive
+from common.wire.keys import JOIN, STATUS, Keys, parse_alive
 from common.wire.messages import (
     FINISHED,
     Evaluation,
@@ -28,7 +31,11 @@ from common.wire.messages import (
     Snapshot,
     digest_arrays,
 )
+from common.wire.report import RunReport
 from common.wire.session import Request, Session
+from services.learner.admission import check_evaluation, check_heartbeat, check_join
+from services.learner.census import Census
+from services.learner.display import Status
 from services.learner.environments import EnvironmentDesk
 from services.learner.fleet import ACCEPTED, Fleet
 from services.learner.slots import Start
@@ -78,12 +85,12 @@ class Hub:
         self._snapshot = b""
         self._digest = ""
         self._evaluation: Evaluation | None = None
-        self._malformed: Counter[str] = Counter()
+        self._census = Census(run, settings, time.monotonic())
         self._opened_s = time.monotonic()
         self._turned_away_s = -ASK_AGAIN_S
         # to here.
         self.environments = EnvironmentDesk(
-            run, settings, log, self._fleet, self._changed, self._count_malformed, logged_environments
+            run, settings, log, self._fleet, self._changed, partial(self._refused, "environment"), logged_environments
         )
         self._orders = session.publisher(self._keys.policy_notify, express=True, high_priority=True)
         self._metrics = session.publisher(self._keys.metrics)
@@ -99,6 +106,7 @@ class Hub:
         session.subscribe(keys.heartbeats, self._on_heartbeat)
         session.watch_alive(keys.all_alive, self._on_alive)
         session.declare_alive(keys.alive("learner", "learner"))
+        session.serve(STATUS, lambda request: request.reply(self.report().encode()))
         session.serve(JOIN, self._on_join)
         self._opened_s = time.monotonic()
 
@@ -119,6 +127,7 @@ class Hub:
             self._snapshot, self._digest = data, snapshot.digest
             self._fleet.begin(snapshot.version, collect=collect, hand_in=hand_in, logged=logged, settled=settled)
             self.environments.forget()
+            self._census.published(snapshot.version, time.monotonic())
         self.announce()
         return data
 
@@ -185,12 +194,22 @@ class Hub:
     def publish_metrics(self, data: bytes) -> None:
         self._metrics.put(data)
 
-    def publish_status(self, data: bytes) -> None:
-        self._status.put(data)
+    def publish_status(self, status: Status) -> None:
+        """Tell it to those who subscribe, and keep it for those who ask."""
+        with self._changed:
+            self._census.told(status, time.monotonic())
+        self._status.put(encode_json(asdict(status)))
+
+    def report(self) -> RunReport:
+        """The run and all its actors at this moment."""
+        with self._changed:
+            now_s = time.monotonic()
+            return self._census.report(self._fleet, self._fleet.waiting_for(now_s), now_s, time.time_ns())
 
     def waiting_for(self) -> str:
+        """Which slots' rollouts are missing, and why; empty where none is."""
         with self._changed:
-            return self._fleet.waiting_for()
+            return self._fleet.waiting_for(time.monotonic())
 
     def engines(self) -> set[str]:
         """Physics engines of the actors that are here."""
@@ -209,71 +228,85 @@ class Hub:
     def refusals(self) -> dict[str, int]:
         """Messages that were not used, by reason."""
         with self._changed:
-            return dict(self._malformed + self._fleet.counts.refused)
+            return dict(self._census.refusals())
 
     # -- handlers, on Zenoh's threads ----------------------------------------------------------------------
 
     def _on_join(self, request: Request) -> None:
         try:
             join = Join.decode(request.payload)
+            check_join(join)
             reply = self._join(join)
         except CodecError as error:
-            self._count_malformed(error)
-            reply = self._no(str(error), final=True)
+            self._refused("join", error)
+            reply = self._no("malformed", str(error), final=True)
         except RefusedError as error:
             with self._changed:
                 self._turned_away_s = time.monotonic()
-            reply = self._no(str(error), final=False)
+            reply = self._no("no_slot", str(error), final=False)
         request.reply(reply.encode())
 
     def _join(self, join: Join) -> JoinReply:
         if join.run not in ("", self._run):
-            return self._no(f"this learner runs {self._run!r}, not {join.run!r}", final=True)
+            return self._no("run", f"this learner runs {self._run!r}, not {join.run!r}", final=True)
         physics = join.physics if self._settings.physics == "auto" else self._settings.physics
+        host = printable(join.hardware.get("host", "?"), 64)
         with self._changed:
             if self._fleet.finished:
-                return self._no(f"{FINISHED}: nothing is left to do for run {self._run!r}", final=True)
+                return self._no("finished", f"{FINISHED}: nothing is left to do for run {self._run!r}", final=True)
             slot = self._fleet.join(join.incarnation, physics, time.monotonic())
             generation, restore = slot.given - 1, slot.start is not None and slot.start.environment is not None
+            self._census.joined(slot.number, join.incarnation, host, time.monotonic())
         self._on_event(
             "info",
             "actor_joined",
-            f"slot {slot.number} (generation {generation}): {physics} on {join.hardware.get('host', '?')}, "
-            f"incarnation {join.incarnation}",
+            f"slot {slot.number} (generation {generation}): {physics} on {host}, "
+            f"incarnation {printable(join.incarnation)}",
         )
         settings = self._settings.model_dump_json()
         return JoinReply(True, "", False, self._run, slot.number, generation, settings, restore)
 
-    def _no(self, reason: str, *, final: bool) -> JoinReply:
+    def _no(self, slug: str, reason: str, *, final: bool) -> JoinReply:
+        with self._changed:
+            self._census.turned_away(slug)
         return JoinReply(False, reason, final, self._run, 0, 0, "")
 
     def _on_alive(self, key: str, alive: bool) -> None:
-        role, incarnation = parse_alive(key)
+        try:
+            role, incarnation = parse_alive(key)
+        except CodecError as error:
+            self._refused("alive", error)
+            return
         if role == "actor" and not alive:
             self._lose(incarnation, "is gone")
 
     def _lose(self, incarnation: str, why: str) -> None:
         with self._changed:
             slot, over = self._fleet.lose(incarnation), self._fleet.finished
+            if slot is not None:
+                self._census.left(slot.number, time.monotonic())
             self._changed.notify_all()
         if slot is not None and not over:
-            self._on_event("warning", "actor_lost", f"slot {slot.number}: {incarnation} {why}")
+            self._on_event("warning", "actor_lost", f"slot {slot.number}: {printable(incarnation)} {why}")
             self.announce()
 
     def _on_heartbeat(self, key: str, data: bytes) -> None:
         try:
             beat = Heartbeat.decode(data)
+            with self._changed:
+                check_heartbeat(self._fleet, self._keys, key, beat)
+                changed = self._fleet.heard(beat, time.monotonic())
         except CodecError as error:
-            self._count_malformed(error)
+            self._refused("heartbeat", error)
             return
-        with self._changed:
-            changed = self._fleet.heard(beat, time.monotonic())
         if changed:
             self.announce()
 
     def _on_rollout(self, request: Request) -> None:
         reply = self._take(request)
         if reply is not None:
+            with self._changed:
+                self._census.answered(request.key, reply, time.monotonic())
             request.reply(reply.encode())
 
     def _take(self, request: Request) -> PushReply | None:
@@ -284,7 +317,6 @@ class Hub:
             if request.key != self._keys.rollout(rollout.slot):
                 raise CodecError("bad_key", f"a rollout of slot {rollout.slot} was pushed on {request.key}")
         except CodecError as error:
-            self._count_malformed(error)
             return PushReply("refused", f"{error.reason}: {error}")
         if self._log.pending_bytes + len(request.payload) > self._settings.transport.queue_bytes:
             return PushReply("busy", "the learner's queue is full")
@@ -299,34 +331,32 @@ class Hub:
         """On the log's thread: the rollout is in the file."""
         with self._changed:
             self._fleet.accept(rollout)
+            self._census.accepted(rollout.slot)
             self._changed.notify_all()
         request.reply(ACCEPTED.encode())
 
     def _on_evaluation(self, request: Request) -> None:
         try:
             evaluation = Evaluation.decode(request.payload)
+            with self._changed:
+                check_evaluation(self._fleet, self._keys, request.key, evaluation)
+                if self._evaluation is None:
+                    self._evaluation = evaluation
+                    self._changed.notify_all()
         except CodecError as error:
-            self._count_malformed(error)
+            self._refused("evaluation", error)
             request.reply(PushReply("refused", f"{error.reason}: {error}").encode())
             return
-        with self._changed:
-            wanted = evaluation.version == self._fleet.version and self._fleet.holds(
-                evaluation.slot, evaluation.incarnation
-            )
-            if wanted and self._evaluation is None:
-                self._evaluation = evaluation
-                self._changed.notify_all()
-        reply = ACCEPTED if wanted else PushReply("refused", "stale: this evaluation was not asked for")
-        request.reply(reply.encode())
+        request.reply(ACCEPTED.encode())
 
     def _serve_snapshot(self, request: Request) -> None:
         with self._changed:
             data = self._snapshot
         request.reply(data)
 
-    def _count_malformed(self, error: CodecError) -> None:
+    def _refused(self, kind: str, error: CodecError) -> None:
         with self._changed:
-            self._malformed[error.reason] += 1
+            self._census.refused(kind, error.reason, str(error), time.monotonic())
 
 
 def make_snapshot(run: str, version: int, arrays: dict) -> Snapshot:

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from common.log.records import encode_json
 from common.log.writer import LogWriter
@@ -268,7 +268,7 @@ class Run:
             slots=self._settings.actors,
         )
         self._display.show(status)
-        self._hub.publish_status(encode_json(asdict(status)))
+        self._hub.publish_status(status)
 
 
 def _prefixed(seconds: dict[str, float]) -> dict[str, float]:

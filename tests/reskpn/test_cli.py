@@ -92,9 +92,11 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert "train on this machine: a learner and its actors as processes on loopback" in out
     assert "serve one training run; actors connect to it" in out
     assert "collect experience for a learner, from this machine or another" in out
+    assert "ask a learner, from any machine that reaches it, how its run and every actor are" in out
+    assert "check this machine before a run" in out
 
 
-@pytest.mark.parametrize("command", ["train", "learner"])
+@pytest.mark.parametrize("command", ["train", "learner", "doctor"])
 def test_help_explains_every_setting(capsys: pytest.CaptureFixture[str], command: str) -> None:
     """Each with an option and a line; tasks, learners, precedence and exit codes below. Nothing internal."""
     code, out, _ = left(capsys, command, "--help")
@@ -134,7 +136,7 @@ def test_help_of_an_actor(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        ([], "the following arguments are required: {train,learner,actor}"),
+        ([], "the following arguments are required: {train,learner,actor,status,doctor}"),
         (["trian"], "invalid choice: 'trian'"),
         (["train", "--algorithm.gama", "1"], "unrecognized arguments: --algorithm.gama 1"),
         (["train", "--ta", "hopper"], "unrecognized arguments: --ta hopper"),

@@ -5,15 +5,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.errors import CodecError, SettingsError
-from common.wire.keys import JOIN, Keys, parse_alive
+from common.wire.keys import JOIN, STATUS, Keys, parse_alive
 
 LETTERS = "abcdefghijklmnopqrstuvwxyz0123456789"
 run_ids = st.builds(str.__add__, st.sampled_from(LETTERS), st.text(LETTERS + "_.-", max_size=79))
 
 
 def test_join_needs_no_run():
-    """A process that knows only an address can ask to join."""
+    """A process that knows only an address can ask to join, and how the run is."""
     assert JOIN == "reskpn/v1/join"
+    assert STATUS == "reskpn/v1/status"
 
 
 def test_keys_as_documented():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -92,6 +93,23 @@ def linked(sessions: Sessions, until: Callable[..., None]) -> Linked:
         return learner, link
 
     return make
+
+
+def test_damaged_orders_are_passed_over(linked: Linked, caplog: pytest.LogCaptureFixture) -> None:
+    """Without a word, for good ones follow: those are what the actor works by."""
+    learner, link = linked()
+    said = learner.publisher(KEYS.policy_notify)
+
+    def newest() -> Orders | None:
+        for data in (b"hello", heartbeat().encode(), orders(version=5).encode()):
+            said.put(data)
+        return link.orders(newer_than=None, timeout_s=0.05)
+
+    deadline = time.monotonic() + DEADLINE_S
+    while (heard := newest()) is None:
+        assert time.monotonic() < deadline
+    assert heard == orders(version=5)
+    assert caplog.text == ""
 
 
 # -- joining -----------------------------------------------------------------------------------------------

@@ -426,6 +426,6 @@ def test_what_the_run_waits_for() -> None:
     push(fleet, rollout(0, "a"))
     fleet.heard(heartbeat(1, "b", "collecting", state_s=12.4), 0.0)
     fleet.lose("c")
-    assert fleet.waiting_for() == (
+    assert fleet.waiting_for(0.0) == (
         "waiting for 3 of 4 rollouts: slot 1 collecting 12 s, slot 2 has lost its actor, slot 3 has no actor yet"
     )

@@ -51,7 +51,7 @@ def test_a_slot_that_is_resumed_is_waited_for() -> None:
     fleet.join("a", "native", 0.0)
     fleet.heard(heartbeat(0, "a"), 0.0)
     assert fleet.orders(digest="d", size=7, t_ns=3).collect == {0: 1}
-    assert fleet.waiting_for().endswith("slot 1 has no actor yet")
+    assert fleet.waiting_for(0.0).endswith("slot 1 has no actor yet")
 
 
 def test_who_leaves_before_a_rollout_changes_nothing() -> None:

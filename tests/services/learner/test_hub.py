@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 from queue import Queue
 from typing import Any
 
 import pytest
 from hub_sides import DEADLINE_S, KEYS, Actor, Learner
-from samples import RUN, evaluation, heartbeat, question, rollout, snapshot
+from samples import RUN, STATUS_NOW, evaluation, heartbeat, question, rollout, snapshot
 
+from common.log.records import encode_json
 from common.settings_sources import parse_json
 from common.wire import codec
 from common.wire.keys import JOIN
@@ -242,13 +244,13 @@ def test_metrics_and_status_are_published(
     heard: Queue[tuple[str, bytes]] = Queue()
     actor.session.subscribe(KEYS.metrics, lambda *sample: heard.put(sample))
     actor.session.subscribe(KEYS.status, lambda *sample: heard.put(sample))
-    wanted = {(KEYS.metrics, b'{"a":1}'), (KEYS.status, b"{}")}
+    wanted = {(KEYS.metrics, b'{"a":1}'), (KEYS.status, encode_json(asdict(STATUS_NOW)))}
     found: set[tuple[str, bytes]] = set()
 
     def both() -> bool:
         # Until the subscriptions have reached the learner, what it publishes goes to nobody.
         learner.hub.publish_metrics(b'{"a":1}')
-        learner.hub.publish_status(b"{}")
+        learner.hub.publish_status(STATUS_NOW)
         while not heard.empty():
             found.add(heard.get())
         return found == wanted
@@ -281,6 +283,8 @@ def test_an_evaluation_is_taken_from_who_holds_the_slot(
     learner, actor = learners(), actors()
     actor.join("a")
     learner.hub.begin(snapshot(3))
+    early = PushReply.decode(actor.ask(KEYS.evaluation(0), evaluation(0, "a", 3).encode()))
+    assert early.reason == "stale: this evaluation was not asked for"
     learner.hub.ask_for_evaluation(2)
 
     def push(*place: Any) -> PushReply:

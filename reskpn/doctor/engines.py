@@ -1,0 +1,75 @@
+"""Checks of JAX and the physics engines. All imports are inside: that they fail is what may be found."""
+
+from __future__ import annotations
+
+import time
+
+from common.printable import printable
+from common.settings import RunSettings
+from reskpn.doctor.findings import Finding
+
+TASK = "inverted_pendulum"
+STEPPED = 4
+"""Environments of the step that is tried."""
+
+
+def check_jax() -> Finding:
+    """JAX starts, and on which devices."""
+    from common.physics.engines import prepare_jax
+
+    prepare_jax()
+    import jax
+
+    devices = jax.devices()
+    kinds = sorted({device.device_kind for device in devices})
+    text = f"{jax.__version__} on {len(devices)} {jax.default_backend()} ({printable(', '.join(kinds))})"
+    return Finding("jax", "ok", text, figures={"devices": float(len(devices))})
+
+
+def check_native() -> Finding:
+    """One step of a small task with MuJoCo's C engine."""
+    seconds = step_once("native")
+    return Finding("native", "ok", f"steps {TASK} (first step {seconds:.1f} s)", figures={"first_step_s": seconds})
+
+
+def check_mjx(*, full: bool) -> Finding:
+    """MJX is there; with `full` it also compiles and takes a step, which may take a minute."""
+    if not full:
+        from common.physics import libraries
+
+        return Finding("mjx", "ok", f"{libraries.mjx.__name__} can be imported; --full compiles a step, too")
+    seconds = step_once("mjx")
+    return Finding("mjx", "ok", f"steps {TASK} (first step {seconds:.1f} s)", figures={"first_step_s": seconds})
+
+
+def step_once(physics: str) -> float:
+    """Seconds to reset a few environments and step them once; PhysicsError where they do not move as they should."""
+    import jax
+    import jax.numpy as jnp
+
+    from common.errors import PhysicsError
+    from common.physics.environments import make_environment
+    from common.tasks import TASKS
+
+    began_s = time.perf_counter()
+    environment = make_environment(TASK, physics, num_envs=STEPPED)
+
+    def one(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        state = environment.reset(key)
+        after, _ = environment.step(state, jnp.ones((STEPPED, TASKS[TASK].action_size), jnp.float32))
+        return state.obs, after.obs
+
+    before, after = jax.device_get(jax.jit(one)(jax.random.key(0)))
+    finite = bool(abs(after).max() < 1e6)  # false for NaN, too
+    if not finite or bool((before == after).all()):
+        raise PhysicsError(f"physics '{physics}' gives no motion that makes sense; install mujoco and brax again")
+    return time.perf_counter() - began_s
+
+
+def state_sizes(settings: RunSettings) -> tuple[int, int]:
+    """Bytes of the arrays of a policy, and of the whole state, of a run with these settings."""
+    from services.learner.trainer import Trainer
+
+    trainer = Trainer(settings)
+    policy, state = trainer.policy_arrays(), trainer.state_arrays()
+    return sum(array.nbytes for array in policy.values()), sum(array.nbytes for array in state.values())

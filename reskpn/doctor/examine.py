@@ -1,0 +1,65 @@
+"""All checks in their order, printed as they come."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from functools import cache
+
+from common.settings import RunSettings
+from reskpn.doctor.engines import check_jax, check_mjx, check_native, state_sizes
+from reskpn.doctor.findings import Finding, guarded
+from reskpn.doctor.machine import check_disk, check_memory, check_packages, check_python, check_writing
+from reskpn.doctor.needs import Needs, needs
+from reskpn.doctor.reach import Answer, check_clock, check_port, check_zenoh
+
+PROBLEM = 1
+"""Exit code where a problem was found."""
+
+
+def doctor(settings: RunSettings, *, as_json: bool, full: bool) -> int:
+    """Print the findings, one a line or as one JSON object; returns 0, or 1 where there is a problem."""
+    found = []
+    for finding in examine(settings, full=full):
+        found.append(finding)
+        if not as_json:
+            print(finding.line, flush=True)
+    problems = sum(finding.level == "problem" for finding in found)
+    if as_json:
+        print(json.dumps({"problems": problems, "findings": [asdict(finding) for finding in found]}))
+    return PROBLEM if problems else 0
+
+
+def examine(settings: RunSettings, *, full: bool) -> Iterator[Finding]:
+    """The findings for a run with these settings on this machine; `full` compiles MJX as well."""
+    yield guarded("python", check_python)
+    yield guarded("packages", check_packages)
+    jax = guarded("jax", check_jax)
+    yield jax
+
+    @cache
+    def needed() -> Needs:
+        return needs(settings, *(state_sizes(settings) if jax.level == "ok" else (0, 0)))
+
+    yield guarded("memory", lambda: check_memory(needed()))
+    yield guarded("disk", lambda: check_disk(settings, needed()))
+    yield guarded("writing", lambda: check_writing(settings))
+    port, answer = _port(settings.transport.endpoint)
+    yield port
+    yield guarded("clock", lambda: check_clock(answer))
+    yield guarded("zenoh", check_zenoh)
+    yield guarded("native", check_native)
+    yield guarded("mjx", lambda: check_mjx(full=full))
+
+
+def _port(endpoint: str) -> tuple[Finding, Answer | None]:
+    answers: list[Answer | None] = []
+
+    def check() -> Finding:
+        finding, answer = check_port(endpoint)
+        answers.append(answer)
+        return finding
+
+    finding = guarded("port", check)
+    return finding, answers[0] if answers else None

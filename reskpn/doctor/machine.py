@@ -1,0 +1,140 @@
+"""Checks of Python, the packages, memory and disk."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import statistics
+import tempfile
+import time
+from importlib import metadata
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+from common.run_directory import LOG, SETTINGS, SUMMARY
+from common.settings import RunSettings
+from reskpn.doctor.findings import Finding, size
+from reskpn.doctor.needs import Needs
+
+PACKAGE = "reskpn"
+SYNC_BYTES = 1 << 20
+SYNCS = 8
+SLOW_SYNC_S = 0.25
+"""The log is synced once a second, and answers nobody meanwhile."""
+
+MEMINFO = Path("/proc/meminfo")
+CGROUP = Path("/sys/fs/cgroup")
+
+
+def check_python() -> Finding:
+    """The version, against what the package requires."""
+    version = platform.python_version()
+    try:
+        wanted = metadata.metadata(PACKAGE)["Requires-Python"]
+    except metadata.PackageNotFoundError:
+        return Finding("python", "warning", f"{version}; {PACKAGE} is not installed here", "run make setup")
+    if not Requirement(f"python{wanted}").specifier.contains(version):
+        return Finding("python", "problem", f"{version} where {wanted} is needed", "make setup PYTHON=python3.11")
+    return Finding("python", "ok", f"{version} ({wanted} is needed)")
+
+
+def check_packages() -> Finding:
+    """Every package that is required, in a version that is allowed."""
+    try:
+        wanted = [Requirement(text) for text in metadata.requires(PACKAGE) or []]
+    except metadata.PackageNotFoundError:
+        return Finding("packages", "warning", f"{PACKAGE} is not installed here: versions unknown", "run make setup")
+    wanted = [requirement for requirement in wanted if requirement.marker is None or requirement.marker.evaluate()]
+    wrong = [fault for requirement in wanted if (fault := _fault(requirement))]
+    if wrong:
+        return Finding("packages", "problem", ", ".join(wrong), "run make setup")
+    return Finding("packages", "ok", f"all {len(wanted)} in versions that fit")
+
+
+def _fault(requirement: Requirement) -> str:
+    try:
+        found = metadata.version(requirement.name)
+    except metadata.PackageNotFoundError:
+        return f"{requirement.name} is missing"
+    if not requirement.specifier.contains(found, prereleases=True):
+        return f"{requirement.name} {found} where {requirement.specifier} is needed"
+    return ""
+
+
+def check_memory(needs: Needs) -> Finding:
+    """Memory that is free, against all processes of the run on this machine."""
+    free = available_memory()
+    if free is None:
+        return Finding("memory", "warning", f"cannot be read here; the run takes about {size(needs.memory)}")
+    text = f"{size(free)} free; all processes of this run take about {size(needs.memory)}"
+    figures = {"free_bytes": free, "needed_bytes": needs.memory}
+    if free < needs.memory:
+        advice = "run fewer actors or environments here, or stop other programs"
+        return Finding("memory", "warning", text, advice, figures)
+    return Finding("memory", "ok", text, figures=figures)
+
+
+def available_memory() -> float | None:
+    """Bytes that processes may still take: the machine's, or what the container leaves; None where not known."""
+    try:
+        lines = dict(line.split(":", 1) for line in MEMINFO.read_text().splitlines() if ":" in line)
+        free = float(lines["MemAvailable"].split()[0]) * 1024
+    except (OSError, KeyError, ValueError):
+        return None
+    try:
+        limit = (CGROUP / "memory.max").read_text().strip()
+        used = float((CGROUP / "memory.current").read_text())
+        return free if limit == "max" else min(free, max(0.0, float(limit) - used))
+    except (OSError, ValueError):
+        return free
+
+
+def check_disk(settings: RunSettings, needs: Needs) -> Finding:
+    """Space where the run directory will be, against what the run will write."""
+    folder = home(settings)
+    if settings.run_dir and any((settings.run_dir / name).exists() for name in (SUMMARY, SETTINGS, LOG)):
+        return Finding("disk", "warning", f"{settings.run_dir} holds a run", "a new run needs another --run-dir")
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        return Finding("disk", "problem", f"{folder} cannot be written", "choose another place with --run-dir")
+    free = float(shutil.disk_usage(folder).free)
+    text = f"{size(free)} free at {folder}; this run writes about {size(needs.log)}"
+    figures = {"free_bytes": free, "needed_bytes": needs.log}
+    if free < needs.log:
+        return Finding("disk", "problem", text, "free some, or choose another disk with --run-dir", figures)
+    if free < 1.5 * needs.log:
+        return Finding("disk", "warning", text, "that leaves little", figures)
+    return Finding("disk", "ok", text, figures=figures)
+
+
+def check_writing(settings: RunSettings) -> Finding:
+    """How long the disk of the run directory takes to make a megabyte safe, eight times."""
+    folder = home(settings)
+    block = os.urandom(SYNC_BYTES)
+    seconds = []
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            for _ in range(SYNCS):
+                began_s = time.perf_counter()
+                file.write(block)
+                file.flush()
+                os.fsync(file.fileno())
+                seconds.append(time.perf_counter() - began_s)
+    except OSError as error:
+        advice = "choose another place with --run-dir"
+        return Finding("writing", "problem", f"{folder}: {error.strerror}", advice)
+    middle, worst = statistics.median(seconds), max(seconds)
+    text = f"1 MB is safe in {1e3 * middle:.1f} ms, at worst {1e3 * worst:.1f} ms"
+    figures = {"median_s": middle, "worst_s": worst}
+    if worst > SLOW_SYNC_S:
+        return Finding("writing", "warning", text, "actors wait for a slow disk; a local one is better", figures)
+    return Finding("writing", "ok", text, figures=figures)
+
+
+def home(settings: RunSettings) -> Path:
+    """The nearest folder above the run's files that is there already."""
+    folder = (settings.run_dir or Path("runs")).absolute()
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return folder

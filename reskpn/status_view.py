@@ -1,0 +1,136 @@
+"""A learner's report for a person: a few lines about the run, a table of its slots, and what was not used."""
+
+from __future__ import annotations
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from common.printable import printable
+from common.wire.report import ActorReport, RunReport, VacancyReport
+
+LATE_S = 1.5
+COLUMNS = (
+    "slot", "actor", "host", "state", "engine", "policy", "age", "steps/s", "heard", "accepted", "refused", "busy",
+    "again",
+)  # fmt: skip
+
+
+def view(report: RunReport) -> RenderableType:
+    """All of it; what came over the network is shown without what a terminal would obey."""
+    parts: list[RenderableType] = [Text(line) for line in head(report)]
+    parts += [_table(report), *(Text(line) for line in tail(report))]
+    return Group(*parts)
+
+
+def head(report: RunReport) -> list[str]:
+    """The run: how far it is, and what it waits for."""
+    name = printable(f"{report.run}: {report.learner} on {report.task} at {report.endpoint}")
+    progress = report.progress
+    if progress is None:
+        return [f"{name}, up {duration(report.up_s)}", f"starting; {_waits(report)}"]
+    parts = [
+        f"update {progress.version}/{progress.updates}",
+        f"steps {progress.env_steps:,}/{progress.total_steps:,}",
+        f"steps/s {number(progress.steps_per_s)}",
+        f"return {number(progress.train_return, 1)}",
+        f"actors {len(report.actors)}/{report.slots}",
+    ]
+    told = f" (told {duration(progress.told_s)} ago)" if progress.told_s > 5.0 else ""
+    return [
+        f"{name}, up {duration(report.up_s)}",
+        f"{printable(progress.phase)} | {' | '.join(parts)}{told}",
+        _waits(report),
+    ]
+
+
+def _waits(report: RunReport) -> str:
+    """The learner's own words win where it waits for something else than rollouts."""
+    text = report.progress.text if report.progress is not None else ""
+    if report.progress is not None and report.progress.phase in ("compiling", "evaluating"):
+        return printable(f"waiting for {text}", 4096)
+    return printable(report.waiting_for, 4096) or "all rollouts are there: the learner is at work"
+
+
+def tail(report: RunReport) -> list[str]:
+    """What became of the messages, and why some were not used."""
+    totals = report.totals
+    lines = [
+        f"rollouts: {totals.accepted:,} accepted, {totals.refused:,} refused, {totals.busy:,} busy, "
+        f"{totals.repeated:,} repeated; actors: {totals.joined:,} joined, {totals.lost:,} lost"
+    ]
+    if report.refusals:
+        kinds = (f"{printable(kind)} {_counts(counts)}" for kind, counts in sorted(report.refusals.items()))
+        lines.append(f"not used: {'; '.join(kinds)}")
+    if report.turned_away:
+        lines.append(f"turned away: {_counts(report.turned_away)}")
+    if (last := report.last_refusal) is not None:
+        text = printable(f"last, {duration(last.ago_s)} ago: {last.kind} {last.reason}: {last.text}", 400)
+        lines.append(text)
+    return lines
+
+
+def _table(report: RunReport) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in COLUMNS:
+        left = column in ("actor", "host", "state", "engine")
+        whole = column in ("slot", "actor", "state")
+        table.add_column(column, justify="left" if left else "right", overflow="fold", no_wrap=whole)
+    newest = None if report.progress is None else report.progress.version
+    rows = [(actor.slot, actor_row(actor, newest)) for actor in report.actors]
+    rows += [(vacancy.slot, vacancy_row(vacancy)) for vacancy in report.vacancies]
+    for _, row in sorted(rows):
+        table.add_row(*(Text(cell) for cell in row))
+    return table
+
+
+def actor_row(actor: ActorReport, newest: int | None) -> list[str]:
+    """The cells of an actor; "-2" after its policy: two versions behind."""
+    behind = 0 if newest is None else newest - actor.version
+    compiling = actor.state == "compiling"
+    version = "-" if compiling else f"{actor.version}{f' (-{behind})' if behind > 0 else ''}"
+    age = "-" if compiling or actor.snapshot_age_s is None else duration(actor.snapshot_age_s)
+    silent = " SILENT" if actor.heard_s > LATE_S else ""
+    return [
+        str(actor.slot),
+        printable(actor.incarnation[:8]),
+        printable(actor.host, 24),
+        f"{printable(actor.state, 12)} {duration(actor.state_s)}",
+        printable(actor.physics, 8),
+        version,
+        age,
+        number(actor.steps_per_s),
+        f"{duration(actor.heard_s)}{silent}",
+        *(f"{count:,}" for count in (actor.accepted, actor.refused, actor.busy, actor.repeated)),
+    ]
+
+
+def vacancy_row(vacancy: VacancyReport) -> list[str]:
+    """The cells of a slot that nobody holds."""
+    why = "lost its actor" if vacancy.lost else "no actor yet"
+    return [str(vacancy.slot), "-", "-", f"{why} {duration(vacancy.for_s)}", *["-"] * (len(COLUMNS) - 4)]
+
+
+def number(value: float | None, decimals: int = 0) -> str:
+    """1,234.5; "-" for None, powers of ten beyond a billion."""
+    if value is None:
+        return "-"
+    return f"{value:,.{decimals}f}" if abs(value) < 1e9 else f"{value:.1e}"
+
+
+def duration(seconds: float) -> str:
+    """0.4 s, 12 s, 3 min 05 s, 2 h 10 min; "long" beyond ten thousand hours."""
+    if seconds < 10.0:
+        return f"{max(0.0, seconds):.1f} s"
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    if seconds < 7200.0:
+        return f"{seconds // 60:.0f} min {seconds % 60:02.0f} s"
+    if seconds < 3.6e7:
+        return f"{seconds // 3600:.0f} h {seconds % 3600 // 60:.0f} min"
+    return "long"
+
+
+def _counts(counts: dict[str, int]) -> str:
+    ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    return ", ".join(f"{printable(reason)} {count:,}" for reason, count in ordered)
