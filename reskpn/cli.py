@@ -5,19 +5,21 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from pydantic_settings import CliSettingsSource
 
-from common.errors import ReskpnError
+from common.errors import ReskpnError, SettingsError
 from common.learners import LEARNERS
 from common.settings import PHYSICS, TransportSettings
 from common.settings_sources import PREFIX, add_options, load
 from common.tasks import TASKS
 
 EXIT_CODES = """\
-exit codes: 0 done, 2 a setting is not possible, 3 no connection, 4 refused, 5 log or checkpoint, 6 physics,
-7 an update was not finite, 8 a process of the run died, 130 stopped by Ctrl-C (the log is whole then)."""
+exit codes: 0 done, 1 a replay diverged from its log, 2 a setting is not possible, 3 no connection, 4 refused,
+5 log or checkpoint, 6 physics, 7 an update was not finite, 8 a process of the run died, 130 stopped by Ctrl-C (the
+log is whole then)."""
 
 
 def _epilog() -> str:
@@ -41,10 +43,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="reskpn",
         description="Residual Kernel Policy Network: kernel-policy reinforcement learning as a service.",
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="{train,learner,actor}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="{train,learner,actor,replay}")
     _add_train(commands)
     _add_learner(commands)
     _add_actor(commands)
+    _add_replay(commands)
     given = parser.parse_args(arguments)
     try:
         code: int = given.call(given)
@@ -55,13 +58,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _command(
-    commands: Any, name: str, text: str, call: Callable[[argparse.Namespace], int], epilog: str
+    commands: Any, name: str, text: str, call: Callable[[argparse.Namespace], int], epilog: str, usage: str = ""
 ) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
         help=text,
         description=f"{text[0].upper()}{text[1:]}.",
-        usage=f"reskpn {name} [options]",
+        usage=usage or f"reskpn {name} [options]",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=epilog,
         allow_abbrev=False,
@@ -124,3 +127,25 @@ def _add_actor(commands: Any) -> None:
     )
     parser.add_argument("--config", metavar="FILE", help="YAML file of settings; its transport section is used")
     parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)
+
+
+def _add_replay(commands: Any) -> None:
+    def call(given: argparse.Namespace) -> int:
+        from reskpn import replay
+
+        if given.until is not None and not given.verify:
+            raise SettingsError("--until goes with --verify; the other uses of a log take all of it")
+        if given.extract is not None:
+            return replay.extract_run(given.path, given.extract)
+        return replay.verify_run(given.path, given.until)
+
+    text = "check a recorded run, or make other use of its log"
+    parser = _command(
+        commands, "replay", text, call, EXIT_CODES, usage="reskpn replay RUN (--verify | --extract DIR) [options]"
+    )
+    parser.add_argument("path", type=Path, metavar="RUN", help="run directory, its log directory, or one .mcap file")
+    uses = parser.add_mutually_exclusive_group(required=True)
+    uses.add_argument("--verify", action="store_true", help="compute every state anew from the log and compare")
+    uses.add_argument("--extract", type=Path, metavar="DIR", help="write transitions, episodes and metrics there")
+    parser.add_argument("--format", choices=("parquet",), default="parquet", help="of --extract (default: parquet)")
+    parser.add_argument("--until", type=int, metavar="V", help="verify up to this version (default: to the end)")

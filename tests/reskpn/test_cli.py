@@ -92,6 +92,7 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert "train on this machine: a learner and its actors as processes on loopback" in out
     assert "serve one training run; actors connect to it" in out
     assert "collect experience for a learner, from this machine or another" in out
+    assert "check a recorded run, or make other use of its log" in out
 
 
 @pytest.mark.parametrize("command", ["train", "learner"])
@@ -112,7 +113,13 @@ def test_help_explains_every_setting(capsys: pytest.CaptureFixture[str], command
     assert "(paper)" in out
     for known in ("inverted_pendulum, hopper", "auto, mjx, native", "reskpn", "dpo", "RESKPN_ALGORITHM__GAMMA"):
         assert known in out
-    for meaning in ("0 done", "2 a setting is not possible", "3 no connection", "130 stopped by Ctrl-C"):
+    for meaning in (
+        "0 done",
+        "1 a replay diverged",
+        "2 a setting is not possible",
+        "3 no connection",
+        "130 stopped by Ctrl-C",
+    ):
         assert meaning in words
     assert "--supervised" not in out
 
@@ -134,7 +141,7 @@ def test_help_of_an_actor(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        ([], "the following arguments are required: {train,learner,actor}"),
+        ([], "the following arguments are required: {train,learner,actor,replay}"),
         (["trian"], "invalid choice: 'trian'"),
         (["train", "--algorithm.gama", "1"], "unrecognized arguments: --algorithm.gama 1"),
         (["train", "--ta", "hopper"], "unrecognized arguments: --ta hopper"),
