@@ -61,6 +61,7 @@ def load(
     *,
     config: str | None = None,
     environment: Mapping[str, str] | None = None,
+    recorded: RunSettings | None = None,
 ) -> RunSettings:
     """The settings of a run out of all places, or SettingsError with every fault found.
 
@@ -68,12 +69,14 @@ def load(
         options, arguments: what `add_options` gave, and what the parser made of the command line.
         config: a YAML file or the name of a preset.
         environment: default `os.environ`.
+        recorded: settings of an earlier run, which stand in for the defaults; its directory does not count.
     """
     environment = os.environ if environment is None else environment
     places = [
         ("the command line", _from_command_line(options, arguments)),
         ("the environment", _from_environment(environment)),
         (f"{config}", _from_file(config) if config else {}),
+        ("the recorded run", {} if recorded is None else recorded.model_dump(exclude={"run_dir"})),
     ]
     merged: dict[str, Any] = {}
     for _, values in reversed(places):

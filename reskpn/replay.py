@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
@@ -11,6 +12,14 @@ from common.errors import SettingsError
 from common.recorded.ahead import ahead
 from common.recorded.origins import bits_can_differ, differences
 from common.recorded.run import RecordedRun, open_run, origin
+from common.run_directory import SUMMARY, claim_run_dir, default_run_dir
+from common.settings import RunSettings
+
+LINES = 10
+"""Lines of metrics that are printed while a second learner trains."""
+
+INTERRUPTED = 130
+"""Exit code of a replay that was asked to stop, as a shell reports Ctrl-C."""
 
 DIVERGED = 1
 """Exit code of a verification that did not come by the recorded states."""
@@ -57,6 +66,66 @@ def extract_run(path: Path, folder: Path) -> int:
     for name, count in rows.items():
         print(f"{folder / name}: {count:,} rows")
     return 0
+
+
+def train_into(path: Path, choose: Callable[[RunSettings], RunSettings]) -> int:
+    """Train another learner on the experience of a recorded run, and print its metrics. Returns 0.
+
+    Args:
+        choose: makes its settings out of those of the run.
+    """
+    from common.runtime import prepare_jax
+    from services.learner.offline import require_same_rollouts, train_offline
+    from services.learner.trainer import Trainer
+
+    run = open_run(path)
+    total = updates_to_read(run, None)
+    settings = choose(run.settings)
+    require_same_rollouts(run.settings, settings)
+    settings = settings.model_copy(update={"run_dir": settings.run_dir or default_run_dir(settings)})
+    claim_run_dir(settings)
+    prepare_jax()
+    trainer = Trainer(settings)
+    print(f"{run.run}: training {settings.learner} on its {total} updates of experience", flush=True)
+    trainer.compile()
+    with progress_bar() as bar, ahead(run.updates()) as updates:
+        task = bar.add_task("training", total=total)
+
+        def on_update(version: int, metrics: dict[str, float]) -> None:
+            bar.advance(task)
+            if version % max(1, total // LINES) == 0 or version == total:
+                numbers = " | ".join(f"{name} {value:.4g}" for name, value in sorted(metrics.items()))
+                print(f"update {version}/{total} | {numbers}", flush=True)
+
+        run_dir = train_offline(run.run, settings, trainer, updates, on_update)
+    print(f"state digest {trainer.digest()}; summary {run_dir / SUMMARY}, curves {run_dir / 'tensorboard'}")
+    return 0
+
+
+def publish_run(path: Path, endpoint: str, rate: float | None, delay_s: float, *, insecure: bool) -> int:
+    """Play a recorded run on the keys it had. Returns 0, or 130 where it was stopped by a signal.
+
+    Raises:
+        SettingsError: the endpoint is open to other machines and `insecure` was not said.
+    """
+    from common.wire.endpoint import is_loopback
+    from reskpn.supervised import stopping
+    from services.player.service import run_player
+
+    run = open_run(path)
+    total = updates_to_read(run, None)
+    if not is_loopback(endpoint) and not insecure:
+        raise SettingsError(
+            f"--endpoint {endpoint} can be reached from other machines and has no authentication; listen on "
+            "tcp/127.0.0.1:<port>, or say --insecure if the network is trusted"
+        )
+    pace = "as fast as possible" if rate is None else f"at {rate:g} times its pace"
+    print(f"{run.run}: playing {total} updates {pace}; listening on {endpoint}", flush=True)
+    with stopping(supervised=False) as stop, progress_bar() as bar:
+        task = bar.add_task("playing", total=total)
+        ended = run_player(run, endpoint, rate=rate, delay_s=delay_s, stop=stop, on_update=lambda _: bar.advance(task))
+    print(f"{run.run}: {'played to the end' if ended else 'stopped'}")
+    return 0 if ended else INTERRUPTED
 
 
 def updates_to_read(run: RecordedRun, until: int | None) -> int:

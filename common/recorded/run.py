@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,10 +82,6 @@ class RecordedRun:
         """Updates in the log. Unfinished segments are read for it."""
         return self._reader.counts().get("/update", 0)
 
-    def messages(self) -> Iterator[LogMessage]:
-        """Every message of the log as it was written; see `LogReader.messages`."""
-        return self._reader.messages()
-
     def updates(
         self, *, until: int | None = None, on_unused: Callable[[Rollout], None] | None = None
     ) -> Iterator[RecordedUpdate]:
@@ -101,23 +97,40 @@ class RecordedRun:
             LogReadError: the log is damaged, a rollout that an update names is not in the log before it, or the
                 versions do not follow each other.
         """
-        window = Window(self.settings.actors, on_unused or _ignore)
+        for _, content in self._walk(("/rollout", "/update"), on_unused or _ignore):
+            if isinstance(content, RecordedUpdate):
+                yield content
+                if content.version == until:
+                    return
+
+    def messages(self) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
+        """Every message of the log as it was written, and what it says where it is one of /rollout or /update.
+
+        Raises (from the iterator):
+            LogReadError: as `updates`.
+        """
+        return self._walk(None, _ignore)
+
+    def _walk(
+        self, topics: Collection[str] | None, on_unused: Callable[[Rollout], None]
+    ) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
+        window = Window(self.settings.actors, on_unused)
         shape = self._shape()
         version = 0
-        for message in self._reader.messages(["/rollout", "/update"]):
+        for message in self._reader.messages(topics):
+            content: RecordedUpdate | Rollout | None = None
             if message.topic == "/rollout":
-                window.add(_read_rollout(message, shape))
-                continue
-            update = _read_update(message, window)
-            if version and update.version != version + 1:
-                raise LogReadError(
-                    f"{self.path}: update {update.version} comes after update {version}; a part of the log is missing "
-                    "or there twice"
-                )
-            version = update.version
-            yield update
-            if version == until:
-                return
+                content = _read_rollout(message, shape)
+                window.add(content)
+            elif message.topic == "/update":
+                content = update = _read_update(message, window)
+                if version and update.version != version + 1:
+                    raise LogReadError(
+                        f"{self.path}: update {update.version} comes after update {version}; a part of the log is "
+                        "missing or there twice"
+                    )
+                version = update.version
+            yield message, content
         window.end()
 
     def _shape(self) -> RolloutShape:

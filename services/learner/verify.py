@@ -11,9 +11,12 @@ from common.errors import LogReadError, NumericsError
 from common.recorded.run import RecordedUpdate
 from services.learner.trainer import Trainer
 
-RELATIVE_TOLERANCE = 0.05
-ABSOLUTE_TOLERANCE = 0.02
-"""Where bits cannot be expected, |recomputed - recorded| <= absolute + relative * |recorded| for every metric."""
+RELATIVE_TOLERANCE = 0.2
+ABSOLUTE_TOLERANCE = 0.05
+"""Where bits cannot be expected, |recomputed - recorded| <= absolute + relative * |recorded| for every metric.
+
+About three times what 30 updates of reskpn on inverted_pendulum needed, compiled for SSE 4.2 in place of AVX-512.
+"""
 
 LOOP = ("wait", "learner", "publish", "record")
 """The phases in `RecordedUpdate.seconds` that come one after the other in a live learner."""

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
-from recorded_runs import UPDATES, Recording, made_up, write_log
+from recorded_runs import UPDATES, Recording, made_up, trainer_settings, write_log
 
 import common.runtime
 import services.learner.trainer
+import services.player.service
 from common.errors import NumericsError
 from common.settings import RunSettings
 from common.wire.messages import Rollout
 from reskpn.cli import main
+from services.learner.checkpoints import list_checkpoints, read_checkpoint
 
 UPDATE_3 = {"value": 0.3, "digest": "state-3"}
 """What the learner below makes of update 3."""
@@ -33,6 +37,9 @@ class Learner:
         if self.version == 3 and UPDATE_3["digest"] == "":
             raise NumericsError("update 3 made the optimiser not finite")
         return {"train/kl": float(UPDATE_3["value"]) if self.version == 3 else self.version / 10}
+
+    def state_arrays(self) -> dict[str, np.ndarray]:
+        return {"version": np.array(self.version, np.int32)}
 
     def digest(self) -> str:
         return str(UPDATE_3["digest"]) if self.version == 3 else f"state-{self.version}"
@@ -136,10 +143,10 @@ def test_verify_on_other_hardware_says_what_it_falls_back_to(said: Said, recordi
     assert code == 0
     assert "all 4 updates agree: the first 2 bit for bit, 2 in their metrics" in out
     assert "FALLBACK: from update 3 on the states differ in their bits" in out
-    assert "within 0.02 + 5% of the recorded value" in out
+    assert "within 0.05 + 20% of the recorded value" in out
     assert "updates 1 to 2 were equal bit for bit all the same" in out
     assert "devices: TPU v9 in the log, " in out
-    UPDATE_3["value"] = 0.4  # 0.3 + 0.02 + 5% is 0.335
+    UPDATE_3["value"] = 0.42  # 0.3 + 0.05 + 20% is 0.41
     code, out, _ = said(run_dir, "--verify")
     assert code == 1
     assert "update 3 DIVERGES" in out
@@ -185,6 +192,87 @@ def test_extract_takes_all_of_a_log(said: Said, run_dir: Path, tmp_path: Path) -
     assert code == 2
     assert err == "reskpn replay: --until goes with --verify; the other uses of a log take all of it\n"
     assert not (tmp_path / "t").exists()
+
+
+# -- publish -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("words", "rate"), [([], 1.0), (["--rate", "2.5"], 2.5), (["--rate", "max"], None)])
+def test_publish_plays_at_a_pace(
+    said: Said, run_dir: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], rate: float | None
+) -> None:
+    """The run's, times the rate, on the endpoint given; 130 where it was stopped."""
+    calls: list[dict[str, object]] = []
+    monkeypatch.setattr(services.player.service, "run_player", lambda run, where, **how: calls.append(how) or where)
+    code, out, _ = said(run_dir, "--publish", "--endpoint", "tcp/127.0.0.1:7999", "--delay", "0", *words)
+    assert code == 0
+    assert (calls[0]["rate"], calls[0]["delay_s"]) == (rate, 0.0)
+    assert "listening on tcp/127.0.0.1:7999" in out
+    monkeypatch.setattr(services.player.service, "run_player", lambda *_, **__: False)
+    code, out, _ = said(run_dir, "--publish")
+    assert code == 130
+    assert out.endswith("run-1: stopped\n")
+
+
+def test_publish_opens_no_doors(said: Said, run_dir: Path) -> None:
+    """An address that other machines reach has to be allowed."""
+    code, _, err = said(run_dir, "--publish", "--endpoint", "tcp/0.0.0.0:7999")
+    assert code == 2
+    assert "can be reached from other machines" in err
+
+
+def test_a_rate_is_a_pace(capsys: pytest.CaptureFixture[str], run_dir: Path) -> None:
+    """Zero is none."""
+    with pytest.raises(SystemExit):
+        main(["replay", str(run_dir), "--publish", "--rate", "0"])
+    assert "'0' is not a pace: give a number above 0, or max" in capsys.readouterr().err
+
+
+# -- into --------------------------------------------------------------------------------------------------
+
+
+def test_into_trains_another_learner(said: Said, run_dir: Path, tmp_path: Path) -> None:
+    """With the settings of the run but for those given; its metrics are printed and a run directory is left."""
+    made = tmp_path / "made"
+    words = ("--into", "ppo", "--algorithm.gamma", "0.5", "--run-dir", made)
+    code, out, _ = said(run_dir, *words)
+    assert code == 0
+    assert "training ppo on its 4 updates of experience" in out
+    assert "update 4/4 | train/kl 0.4" in out
+    summary = json.loads((made / "summary.json").read_text())
+    assert (summary["experience_of"], summary["learner"], summary["updates"]) == ("run-1", "ppo", 4)
+    assert (summary["total_steps"], summary["metrics"]) == (48, {"train/kl": 0.4})
+    settings = json.loads((made / "settings.json").read_text())
+    assert settings["learner"] == "ppo"
+    assert settings["algorithm"] == trainer_settings().algorithm.model_dump(mode="json") | {"gamma": 0.5}
+    assert read_checkpoint(list_checkpoints(made)[0]).version == 4
+    code, _, err = said(run_dir, *words)
+    assert code == 2
+    assert "already holds a run" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--into", "trpo"], "learner (from the command line): 'trpo' is not a learner; "),
+        (["--into", "ppo", "--num-steps", "6"], "num_steps is 6, but the recorded rollouts were made with 3; "),
+        (["--into", "ppo", "--task", "hopper"], "task is 'hopper', but the recorded rollouts were made with 'inver"),
+        (["--into", "ppo", "--learner", "dpo"], "--learner goes without --into"),
+        (
+            ["--verify", "--algorithm.gamma", "0.5"],
+            "algorithm.gamma is a setting of a learner; settings go with --into",
+        ),
+    ],
+)
+def test_settings_that_another_learner_cannot_have(
+    said: Said, run_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], sentence: str
+) -> None:
+    """One sentence, exit code 2, and no directory is made."""
+    monkeypatch.chdir(tmp_path)
+    code, _, err = said(run_dir, *words)
+    assert code == 2
+    assert err.startswith(f"reskpn replay: {sentence}")
+    assert not (tmp_path / "runs").exists()
 
 
 # -- what cannot be replayed -------------------------------------------------------------------------------

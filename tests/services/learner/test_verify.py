@@ -7,26 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_runs import UPDATES, Message, Recording, record, trainer_settings, write_log
+from recorded_runs import UPDATES, Message, Recording, write_log
 
 from common.errors import LogReadError
 from common.recorded.run import open_run
 from common.wire.messages import Rollout
 from services.learner.trainer import Trainer
 from services.learner.verify import MetricDifference, Verdict, metric_differences, verify
-
-
-@pytest.fixture(scope="module")
-def trainer() -> Trainer:
-    """Compiled once; `start` puts it back to the beginning."""
-    trainer = Trainer(trainer_settings())
-    trainer.compile()
-    return trainer
-
-
-@pytest.fixture(scope="module")
-def recording(trainer: Trainer) -> Recording:
-    return record(trainer)
 
 
 class Verifier:
@@ -166,10 +153,10 @@ def test_a_log_without_its_beginning_cannot_be_verified(verified: Verifier, reco
 
 @pytest.mark.parametrize(
     ("new", "exact", "loose"),
-    [(1.0, True, True), (1.0000001, False, True), (1.069, False, True), (1.071, False, False), (None, False, False)],
+    [(1.0, True, True), (1.0000001, False, True), (1.249, False, True), (1.251, False, False), (None, False, False)],
 )
 def test_metrics_within_tolerance(new: float | None, exact: bool, loose: bool) -> None:
-    """1 may come out as 0.93 to 1.07, 0.02 and a twentieth of it; a number never as none."""
+    """1 may come out as 0.75 to 1.25, 0.05 and a fifth of it; a number never as none."""
     recomputed = {"kl": float("nan") if new is None else new}
     assert (not metric_differences({"kl": 1.0}, recomputed, exact=True)) is exact
     assert (not metric_differences({"kl": 1.0}, recomputed, exact=False)) is loose
