@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import os
-import platform
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
-from common.runtime import software_versions, source_commit
+from common.runtime import cpu_model, software_versions, source_commit
 
 
 def machine() -> dict[str, str]:
     """Cores that may be used, CPU model, load before the measurement, date, commit and versions."""
     return {
         "cores": str(len(os.sched_getaffinity(0))),
-        "cpu": _cpu_model(),
+        "cpu": cpu_model(),
         "load": f"{os.getloadavg()[0]:.1f}",
         "date": time.strftime("%Y-%m-%d %H:%M"),
         "commit": source_commit(),
@@ -28,12 +26,3 @@ def describe(found: dict[str, str]) -> Iterator[str]:
     yield f"{found['cores']} cores of {found['cpu']}; load {found['load']} at the start; {found['date']}"
     versions = ", ".join(f"{name} {found[name]}" for name in ("python", "jax", "mujoco", "eclipse-zenoh", "mcap"))
     yield f"commit {found['commit'][:12]}; {versions}"
-
-
-def _cpu_model() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return models[0] if models else platform.processor() or platform.machine()

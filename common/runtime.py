@@ -40,15 +40,26 @@ def software_versions() -> dict[str, str]:
 
 
 def hardware() -> dict[str, str]:
-    """Host, cores that this process may use, and JAX's devices."""
+    """Host, CPU model, cores that this process may use, and JAX's devices."""
     devices = jax.devices()
     return {
         "host": platform.node(),
         "machine": platform.machine(),
+        "cpu": cpu_model(),
         "cores": str(len(os.sched_getaffinity(0))),
         "backend": jax.default_backend(),
         "devices": ", ".join(sorted({device.device_kind for device in devices})),
     }
+
+
+def cpu_model() -> str:
+    """The name of the processor, as the system knows it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.processor() or platform.machine()
 
 
 def prepare_jax() -> None:

@@ -81,7 +81,7 @@ def load_over(
     environment: Mapping[str, str] | None = None,
     own_endpoint: bool = True,
 ) -> RunSettings:
-    """As `load`, but what no place gives is as in `base`: the settings of a run that is resumed.
+    """As `load`, but what no place gives is as in `base`: the settings of a run that was made before.
 
     `own_endpoint`: this goes for transport.endpoint, too.
     """

@@ -11,16 +11,17 @@ from typing import Any
 
 from pydantic_settings import CliSettingsSource
 
-from common.errors import ReskpnError
+from common.errors import ReskpnError, SettingsError
 from common.learners import LEARNERS
-from common.settings import PHYSICS, TransportSettings
+from common.settings import PHYSICS, RunSettings, TransportSettings
 from common.settings_sources import PREFIX, add_options, load, load_over
 from common.tasks import TASKS
 from reskpn.resuming import AUTO, run_to_resume, settings_to_resume
 
 EXIT_CODES = """\
-exit codes: 0 done, 2 a setting is not possible, 3 no connection, 4 refused, 5 log or checkpoint, 6 physics,
-7 an update was not finite, 8 a process of the run died, 130 stopped by Ctrl-C (the log is whole then)."""
+exit codes: 0 done, 1 a replay diverged from its log, 2 a setting is not possible, 3 no connection, 4 refused,
+5 log or checkpoint, 6 physics, 7 an update was not finite, 8 a process of the run died, 130 stopped by Ctrl-C (the
+log is whole then)."""
 
 
 def _epilog() -> str:
@@ -44,12 +45,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="reskpn",
         description="Residual Kernel Policy Network: kernel-policy reinforcement learning as a service.",
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="{train,learner,actor,status,doctor}")
+    commands = parser.add_subparsers(
+        dest="command", required=True, metavar="{train,learner,actor,status,doctor,replay}"
+    )
     _add_train(commands)
     _add_learner(commands)
     _add_actor(commands)
     _add_status(commands)
     _add_doctor(commands)
+    _add_replay(commands)
     given = parser.parse_args(arguments)
     try:
         code: int = given.call(given)
@@ -60,13 +64,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _command(
-    commands: Any, name: str, text: str, call: Callable[[argparse.Namespace], int], epilog: str
+    commands: Any, name: str, text: str, call: Callable[[argparse.Namespace], int], epilog: str, usage: str = ""
 ) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
         help=text,
         description=f"{text[0].upper()}{text[1:]}.",
-        usage=f"reskpn {name} [options]",
+        usage=usage or f"reskpn {name} [options]",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=epilog,
         allow_abbrev=False,
@@ -197,3 +201,68 @@ def _add_doctor(commands: Any) -> None:
     parser.add_argument("--endpoint", metavar="ADDRESS", help="short for --transport.endpoint")
     parser.add_argument("--json", action="store_true", help="one JSON object, for machines")
     parser.add_argument("--full", action="store_true", help="compile a step with MJX as well (up to a minute)")
+
+
+def _add_replay(commands: Any) -> None:
+    def call(given: argparse.Namespace) -> int:
+        from reskpn import replay
+
+        _refuse_strays(given)
+        if given.into is not None:
+            given.learner = given.into
+            return replay.train_into(
+                given.path,
+                lambda recorded: load_over(
+                    recorded.model_copy(update={"run_dir": None}), options, given, config=given.config
+                ),
+            )
+        if given.extract is not None:
+            return replay.extract_run(given.path, given.extract)
+        if given.publish:
+            return replay.publish_run(given.path, given.endpoint, given.rate, given.delay, insecure=given.insecure)
+        return replay.verify_run(given.path, given.until)
+
+    text = "check a recorded run, or make other use of its log"
+    epilog = f"Settings count for --into alone; in place of the defaults shown, those of the run hold.\n\n{EXIT_CODES}"
+    usage = "reskpn replay RUN (--verify | --extract DIR | --publish | --into LEARNER) [options]"
+    parser = _command(commands, "replay", text, call, epilog, usage)
+    _add_replay_options(parser)
+    options: CliSettingsSource[Any] = add_options(parser)
+
+
+def _add_replay_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("path", type=Path, metavar="RUN", help="run directory, its log directory, or one .mcap file")
+    uses = parser.add_mutually_exclusive_group(required=True)
+    uses.add_argument("--verify", action="store_true", help="compute every state anew from the log and compare")
+    uses.add_argument("--extract", type=Path, metavar="DIR", help="write transitions, episodes and metrics there")
+    uses.add_argument("--publish", action="store_true", help="play the log on the keys that the run had")
+    uses.add_argument("--into", metavar="LEARNER", help="train another learner on the same experience")
+    add("--until", type=int, metavar="V", help="of --verify: up to this version (default: to the end)")
+    add("--format", choices=("parquet",), default="parquet", help="of --extract (default: parquet)")
+    add("--rate", type=_rate, default=1.0, metavar="R", help="of --publish: times the run's pace, or max (default: 1)")
+    endpoint = TransportSettings().endpoint
+    add("--endpoint", metavar="ADDRESS", default=endpoint, help=f"of --publish: where to listen (default: {endpoint})")
+    add("--delay", type=float, default=2.0, metavar="S", help="of --publish: time to connect first (default: 2)")
+    add("--insecure", action="store_true", help="of --publish: allow an address beyond loopback")
+
+
+def _refuse_strays(given: argparse.Namespace) -> None:
+    """SettingsError for an option that the use of the log does not have."""
+    if given.until is not None and not given.verify:
+        raise SettingsError("--until goes with --verify; the other uses of a log take all of it")
+    settings = [name for name in vars(given) if name.split(".")[0] in RunSettings.model_fields]
+    if settings and given.into is None:
+        raise SettingsError(f"{settings[0]} is a setting of a learner; settings go with --into, the log has its own")
+    if given.into is not None and "learner" in settings:
+        raise SettingsError("--learner goes without --into, which names the learner")
+
+
+def _rate(text: str) -> float | None:
+    """A pace above 0; None for "max"."""
+    if text == "max":
+        return None
+    rate = float(text)
+    if not 0.0 < rate < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a pace: give a number above 0, or max")
+    return rate

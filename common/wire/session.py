@@ -56,7 +56,10 @@ class Request:
 
 
 class Publisher:
-    """Puts on one key. What a slow subscriber's queue cannot take is dropped, so publish what a later put renews."""
+    """Puts on one key. What a slow subscriber's queue cannot take is dropped, so publish what a later put renews.
+
+    One that was made `patient` waits in its place.
+    """
 
     def __init__(self, key: str, publisher: zenoh.Publisher, check_size: Callable[[str, bytes], None]) -> None:
         self._key = key
@@ -129,12 +132,18 @@ class Session:
             )
         return reply.ok.payload.to_bytes()
 
-    def publisher(self, key: str, *, express: bool = False, high_priority: bool = False) -> Publisher:
-        """`express` messages do not wait to be batched; `high_priority` ones overtake bulk data."""
+    def publisher(
+        self, key: str, *, express: bool = False, high_priority: bool = False, patient: bool = False
+    ) -> Publisher:
+        """`express` messages do not wait to be batched; `high_priority` ones overtake bulk data.
+
+        `patient`: `put` waits for slow subscribers, until one is given up that has stalled for 30 s.
+        """
         priority = zenoh.Priority.INTERACTIVE_HIGH if high_priority else zenoh.Priority.DATA
+        congestion = zenoh.CongestionControl.BLOCK if patient else zenoh.CongestionControl.DROP
         publisher = self._hold(
             lambda: self._session.declare_publisher(
-                key, congestion_control=zenoh.CongestionControl.DROP, priority=priority, express=express
+                key, congestion_control=congestion, priority=priority, express=express
             )
         )
         return Publisher(key, publisher, self._check_size)

@@ -28,9 +28,9 @@ def test_versions_of_all_that_takes_part(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_hardware() -> None:
-    """Texts, as a message holds them: host, machine, cores that may be used, backend and devices."""
+    """Texts, as a message holds them: host, machine, processor, cores that may be used, backend and devices."""
     found = hardware()
-    assert found.keys() == {"host", "machine", "cores", "backend", "devices"}
+    assert found.keys() == {"host", "machine", "cpu", "cores", "backend", "devices"}
     assert all(type(value) is str and value for value in found.values())
     assert int(found["cores"]) == len(os.sched_getaffinity(0))
     assert found["backend"] == jax.default_backend()

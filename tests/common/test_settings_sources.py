@@ -11,7 +11,7 @@ import pytest
 
 from common.errors import SettingsError
 from common.settings import RunSettings
-from common.settings_sources import add_options, load, parse_json
+from common.settings_sources import add_options, load, load_over, parse_json
 
 
 @pytest.fixture
@@ -349,3 +349,10 @@ def test_what_a_learner_sends_is_named_as_its_source() -> None:
     assert str(refused.value) == (
         "settings that a learner wrote cannot be used here: seed: -1: Input should be greater than or equal to 0"
     )
+
+
+def test_a_recorded_run_stands_in_for_the_defaults(tmp_path: Path) -> None:
+    """Whatever speaks wins over it."""
+    recorded = RunSettings(task="hopper", num_steps=20, seed=3, run_dir=tmp_path)
+    settings = load_over(recorded, environment={"RESKPN_SEED": "4"})
+    assert (settings.task, settings.num_steps, settings.seed, settings.run_dir) == ("hopper", 20, 4, tmp_path)

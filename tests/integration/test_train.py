@@ -6,6 +6,7 @@ import itertools
 import os
 import signal
 import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -123,6 +124,14 @@ def test_checkpoints_are_states_of_the_run(finished: Training) -> None:
     for rollouts in used_rollouts(finished.run_dir)[10:]:
         trainer.update(rollouts)
     assert trainer.digest() == finished.summary["state_digest"]
+
+
+def test_a_run_is_verified_from_its_log(finished: Training) -> None:
+    """`reskpn replay --verify` in a process of its own comes by every state that the run recorded."""
+    command = [sys.executable, "-m", "reskpn", "replay", str(finished.run_dir), "--verify"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert f"all {UPDATES} updates agree, bit for bit" in done.stdout
 
 
 def test_same_seed_same_bits(finished: Training, tmp_path: Path) -> None:

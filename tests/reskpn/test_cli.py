@@ -94,6 +94,7 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert "collect experience for a learner, from this machine or another" in out
     assert "ask a learner, from any machine that reaches it, how its run and every actor are" in out
     assert "check this machine before a run" in out
+    assert "check a recorded run, or make other use of its log" in out
 
 
 @pytest.mark.parametrize("command", ["train", "learner", "doctor"])
@@ -114,7 +115,13 @@ def test_help_explains_every_setting(capsys: pytest.CaptureFixture[str], command
     assert "(paper)" in out
     for known in ("inverted_pendulum, hopper", "auto, mjx, native", "reskpn", "dpo", "RESKPN_ALGORITHM__GAMMA"):
         assert known in out
-    for meaning in ("0 done", "2 a setting is not possible", "3 no connection", "130 stopped by Ctrl-C"):
+    for meaning in (
+        "0 done",
+        "1 a replay diverged",
+        "2 a setting is not possible",
+        "3 no connection",
+        "130 stopped by Ctrl-C",
+    ):
         assert meaning in words
     assert "--supervised" not in out
 
@@ -136,7 +143,7 @@ def test_help_of_an_actor(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        ([], "the following arguments are required: {train,learner,actor,status,doctor}"),
+        ([], "the following arguments are required: {train,learner,actor,status,doctor,replay}"),
         (["trian"], "invalid choice: 'trian'"),
         (["train", "--algorithm.gama", "1"], "unrecognized arguments: --algorithm.gama 1"),
         (["train", "--ta", "hopper"], "unrecognized arguments: --ta hopper"),

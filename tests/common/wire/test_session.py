@@ -206,6 +206,18 @@ def test_publish_and_subscribe(sessions, options):
     assert [wild.get(timeout=WAIT_S) for _ in range(10)] == expected
 
 
+def test_a_patient_publisher_waits_for_slow_subscribers(sessions):
+    """Nothing is lost of 20,000 puts, far more at once than the subscriber takes; others lose a fifth of them."""
+    learner, actor = sessions(listen=True), sessions()
+    seen = Queue()
+    actor.subscribe("t/metrics", lambda key, data: seen.put(int.from_bytes(data[:4], "big")))
+    settle(actor, learner)
+    publisher = learner.publisher("t/metrics", patient=True)
+    for number in range(20_000):
+        publisher.put(number.to_bytes(4, "big") + bytes(1000))
+    assert [seen.get(timeout=WAIT_S) for _ in range(20_000)] == list(range(20_000))
+
+
 def test_what_a_handler_raises(sessions):
     """An error in a handler is reported with its key, ends the asker's wait, and the next request is served."""
     errors = Queue()
