@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from common.errors import LogReadError, SettingsError
+from common.errors import LogReadError, ReskpnError, SettingsError
 from common.log.reader import LogReader
 from common.log.segments import LOG_DIRECTORY, list_segments
 from common.run_directory import SETTINGS, SUMMARY
@@ -47,6 +47,25 @@ def read_interrupted(run_dir: Path) -> Interrupted:
         )
     settings = parse_json(_settings_text(run_dir)).model_copy(update={"run_dir": run_dir.absolute()})
     return Interrupted(run_dir, settings, _is_complete(run_dir))
+
+
+def newest_interrupted(folder: Path, settings: RunSettings) -> Path | None:
+    """The newest run in a folder of runs, where it is not complete and began with these settings; else None.
+
+    Where it listened, and where it is kept, do not count.
+    """
+    begun = [path for path in folder.glob("*") if holds_run(path)]
+    if not begun:
+        return None
+    newest = max(begun, key=lambda path: path.stat().st_mtime_ns)
+    try:
+        found = read_interrupted(newest)
+    except ReskpnError:
+        return None
+    places = ("transport.", "run_dir")
+    pairs = _differences(found.settings.model_dump(mode="json"), settings.model_dump(mode="json"))
+    same = all(name.startswith(places) for name, _, _ in pairs)
+    return newest if same and not found.complete else None
 
 
 def resumed_settings(found: Interrupted, load: Callable[[RunSettings], RunSettings]) -> RunSettings:

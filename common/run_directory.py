@@ -15,6 +15,9 @@ SUMMARY = "summary.json"
 SETTINGS = "settings.json"
 LOG = "log"
 
+RUNS = Path("runs")
+"""Where runs are kept by default."""
+
 
 def prepare_run_dir(settings: RunSettings) -> Path:
     """The run's folder, made, with the settings in it. SettingsError as `claim_run_dir`."""
@@ -51,7 +54,7 @@ def _cannot_write(run_dir: Path, error: OSError) -> SettingsError:
 
 def default_run_dir(settings: RunSettings) -> Path:
     stamp = time.strftime("%Y%m%d-%H%M%S")
-    return Path("runs") / f"{settings.task}-{settings.learner}-s{settings.seed}-{stamp}"
+    return RUNS / f"{settings.task}-{settings.learner}-s{settings.seed}-{stamp}"
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

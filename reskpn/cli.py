@@ -117,7 +117,8 @@ def _add_learner(commands: Any) -> None:
     parser.add_argument(
         "--resume",
         metavar=f"RUN_DIR|{AUTO}",
-        help=f"go on with the unfinished run in that directory; {AUTO}: with the one in --run-dir, if there is one",
+        help=f"go on with the unfinished run in that directory; {AUTO}: with the one in --run-dir, or the newest "
+        "one in runs/ if its settings are these; else start one",
     )
     parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from common.errors import SettingsError
-from common.resumed_settings import holds_run, read_interrupted, resumed_settings
+from common.resumed_settings import holds_run, newest_interrupted, read_interrupted, resumed_settings
+from common.run_directory import RUNS
 from common.settings import RunSettings
 
 AUTO = "auto"
@@ -30,7 +30,11 @@ def settings_to_resume(run_dir: Path, load: Callable[[RunSettings], RunSettings]
 
 
 def run_to_resume(settings: RunSettings) -> str | None:
-    """For `--resume auto`: the run's directory where a run was begun in it, else None."""
-    if settings.run_dir is None:
-        raise SettingsError(f"--resume {AUTO} needs --run-dir: the directory to look for an unfinished run in")
-    return str(settings.run_dir) if holds_run(settings.run_dir) else None
+    """For `--resume auto`: the directory of the run to go on with; None to start one.
+
+    That is the run in --run-dir; or else the newest one where runs are kept, if it is unfinished and of these settings.
+    """
+    if settings.run_dir is not None:
+        return str(settings.run_dir) if holds_run(settings.run_dir) else None
+    newest = newest_interrupted(RUNS, settings)
+    return None if newest is None else str(newest)

@@ -32,6 +32,7 @@ HEAD = """\
 # Threads of each actor's physics, and seconds after which an actor that finds no learner gives up.
 # ACTOR_THREADS=1
 # ACTOR_CONNECT_TIMEOUT_S=60
+# ACTOR_REJOIN_TIMEOUT_S=300
 
 # Limits of each container: processors (0: all), memory (as in 4g; 0: all).
 # LEARNER_CPUS=0

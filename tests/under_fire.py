@@ -28,6 +28,7 @@ from common.settings_sources import parse_json
 from common.tasks import TASKS
 from common.wire.keys import JOIN, STATUS, Keys
 from common.wire.messages import (
+    Environment,
     Evaluation,
     Heartbeat,
     Join,
@@ -120,6 +121,7 @@ class Siege:
         self._mutator = Mutator(self.seed, self._good())
         self._attacks: dict[str, Callable[[bytes], None]] = {
             "rollout": self._attack_rollout,
+            "environment": self._attack_environment,
             "evaluation": self._attack_evaluation,
             "join": self._attack_join,
             "heartbeat": self._attack_heartbeat,
@@ -180,6 +182,7 @@ class Siege:
         returns, lengths = np.float32([10, 30]), np.int32([5, 7])
         return {
             "rollout": _rollout(slot, name, 1, self.version, self._rng).encode(),
+            "environment": _environment(slot, name, self.version).encode(),
             "evaluation": Evaluation(RUN, slot, name, self.version, returns, lengths).encode(),
             "join": _join(f"stranger-{self.version}").encode(),
             "heartbeat": _heartbeat(slot, name).encode(),
@@ -215,6 +218,16 @@ class Siege:
         reply = self._push(data, self._rng.randrange(SETTINGS.actors + 1))
         if reply.status == "refused":
             self._count("rollout", reply.reason.partition(":")[0])
+
+    def _attack_environment(self, data: bytes) -> None:
+        """None was asked for. An empty one asks what to go on from: nothing, at a run's start."""
+        answer = self._ask(KEYS.environment(self._rng.randrange(SETTINGS.actors)), data, KEYS.environments)
+        if not data:
+            assert answer == b""
+            return
+        reply = PushReply.decode(answer)
+        assert reply.status == "refused"
+        self._count("environment", reply.reason.partition(":")[0])
 
     def _attack_evaluation(self, data: bytes) -> None:
         key = KEYS.evaluation(self._rng.randrange(SETTINGS.actors))
@@ -295,7 +308,7 @@ class Siege:
         assert logged == totals.accepted
 
 
-HUB_KINDS = ("rollout", "evaluation", "join", "heartbeat", "alive")
+HUB_KINDS = ("rollout", "environment", "evaluation", "join", "heartbeat", "alive")
 
 STATUS_NOW = Status(
     phase="training", text="", version=0, updates=10, env_steps=0, total_steps=800, steps_per_s=None,
@@ -339,6 +352,11 @@ def _join(incarnation: str) -> Join:
 
 def _heartbeat(slot: int, incarnation: str) -> Heartbeat:
     return Heartbeat(RUN, slot, incarnation, "waiting", 0, 0, 0.0, 0.0, 1)
+
+
+def _environment(slot: int, incarnation: str, version: int) -> Environment:
+    arrays = {"obs": np.full((4, 3), version, np.float32), "steps": np.arange(4, dtype=np.int32)}
+    return Environment(RUN, slot, incarnation, 0, 1, version, digest_arrays(arrays), arrays)
 
 
 def _snapshot(version: int) -> Snapshot:

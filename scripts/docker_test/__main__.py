@@ -55,6 +55,7 @@ def _all_checks(engine: Engine, say: Callable[[str], None]) -> tuple[int, int]:
             say(f"ok: {what}")
         size = int(made.docker("image", "inspect", "-f", "{{.Size}}", IMAGE))
         say(f"image {size / 1e9:.2f} GB; first update {story.first_update_s:.1f} s after up, with an empty cache")
+        say(f"the learner's crash cost {story.lost_s:.1f} s until the next new update")
     return len(steps), 0
 
 

@@ -30,7 +30,7 @@ class EnvironmentDesk:
         log: LogWriter,
         fleet: Fleet,
         changed: threading.Condition,
-        on_malformed: Callable[[CodecError], None],
+        on_refused: Callable[[CodecError], None],
         logged: Collection[tuple[int, int, int]] = (),
     ) -> None:
         keys = Keys(run)
@@ -39,7 +39,7 @@ class EnvironmentDesk:
         self._log = log
         self._fleet = fleet
         self._changed = changed
-        self._on_malformed = on_malformed
+        self._on_refused = on_refused
         self._logged = set(logged)
         self._slots = {keys.environment(slot): slot for slot in range(settings.actors)}
         self._states: dict[int, bytes] = {}
@@ -76,11 +76,14 @@ class EnvironmentDesk:
             given = Environment.decode(request.payload)
             if self._slots.get(request.key) != given.slot:
                 raise CodecError("bad_key", f"environments of slot {given.slot} were pushed on {request.key}")
+            if self._log.pending_bytes + len(request.payload) > self._queue_bytes:
+                return PushReply("busy", "the learner's queue is full")
+            return self._admit_or_log(given, request)
         except CodecError as error:
-            self._on_malformed(error)
+            self._on_refused(error)
             return PushReply("refused", f"{error.reason}: {error}")
-        if self._log.pending_bytes + len(request.payload) > self._queue_bytes:
-            return PushReply("busy", "the learner's queue is full")
+
+    def _admit_or_log(self, given: Environment, request: Request) -> PushReply | None:
         with self._changed:
             answer = self._admit(given)
             if answer is None and (given.version, given.slot, given.generation) in self._logged:
@@ -93,18 +96,18 @@ class EnvironmentDesk:
         return answer
 
     def _admit(self, given: Environment) -> PushReply | None:
-        """None where the state is to be logged and kept."""
+        """None where the state is to be logged and kept. CodecError where it is not wanted."""
         fleet, member = self._fleet, self._fleet.holder(given.slot, given.incarnation)
         if member is None or given.run != self._run:
-            return _refused("incarnation", f"slot {given.slot} is not held by {given.incarnation!r}; join again")
+            raise CodecError("incarnation", f"slot {given.slot} is not held by {given.incarnation!r}; join again")
         if given.version != fleet.version or not fleet.hand_in:
-            return _refused("stale", f"environments of version {given.version} are not wanted now")
+            raise CodecError("stale", f"environments of version {given.version} are not wanted now")
         if given.slot in self._states:
             return ACCEPTED
         if given.slot in self._under_way:
             return PushReply("busy", "these environments are being written to the log")
         if (given.generation, given.seq) != (member.generation, member.next_seq):
-            return _refused("gap", f"environments at rollout {given.seq} came where {member.next_seq} is next")
+            raise CodecError("gap", f"environments at rollout {given.seq} came where {member.next_seq} is next")
         return None
 
     def _keep(self, given: Environment, request: Request) -> None:
@@ -114,7 +117,3 @@ class EnvironmentDesk:
                 self._states[given.slot] = request.payload
                 self._under_way.discard(given.slot)
         request.reply(ACCEPTED.encode())
-
-
-def _refused(reason: str, text: str) -> PushReply:
-    return PushReply("refused", f"{reason}: {text}")

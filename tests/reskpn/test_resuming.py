@@ -75,6 +75,47 @@ def test_auto_starts_a_run_where_there_is_none(begun: list[Any], tmp_path: Path)
     assert (resume, settings.seed) == (False, 9)
 
 
+@pytest.fixture
+def newest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The newest of two unfinished runs in runs/, both with these settings but on other ports, made before."""
+    monkeypatch.chdir(tmp_path)
+    for number, name in enumerate(["old", "new"]):
+        run = Path("runs") / name
+        settings = RunSettings.model_validate(BASE | {"transport": {"endpoint": f"tcp/127.0.0.1:{4000 + number}"}})
+        with LogWriter(run / "log", metadata={"settings": {"json": settings.model_dump_json()}}):
+            pass
+        os.utime(run, (1000.0 + number, 1000.0 + number))
+    return tmp_path / "runs" / "new"
+
+
+SAME = ["--num-envs", "8", "--num-steps", "8", "--total-steps", "640", "--algorithm.minibatches", "2", "--seed", "4"]
+
+
+def test_auto_goes_on_with_the_newest_run(begun: list[Any], newest: Path) -> None:
+    """Without a directory: what a container that is started again is to do."""
+    assert main(["learner", "--resume", "auto", *SAME]) == 0
+    ((_, settings, resume),) = begun
+    assert (resume, settings.run_dir) == (True, newest)
+
+
+def test_auto_starts_a_run_of_other_settings(begun: list[Any], newest: Path) -> None:
+    """What was interrupted is another run then, and stays as it is."""
+    assert main(["learner", "--resume", "auto", *SAME[:-1], "5"]) == 0
+    assert main(["learner", "--resume", "auto"]) == 0
+    assert [(settings.seed, settings.run_dir, resume) for _, settings, resume in begun] == [
+        (5, None, False),
+        (0, None, False),
+    ]
+
+
+def test_auto_starts_a_run_after_a_finished_one(begun: list[Any], newest: Path) -> None:
+    """An older one that was interrupted does not count: someone has gone on to another since."""
+    (newest / "summary.json").write_text(json.dumps({"complete": True}))
+    os.utime(newest, (2000.0, 2000.0))
+    assert main(["learner", "--resume", "auto", *SAME]) == 0
+    assert [(settings.run_dir, resume) for _, settings, resume in begun] == [(None, False)]
+
+
 @pytest.mark.parametrize(("more", "begins"), [([], False), (["--total-steps", "1280"], True)])
 def test_a_finished_run(
     begun: list[Any], run_dir: Path, capsys: pytest.CaptureFixture[str], more: list[str], begins: bool
@@ -91,7 +132,6 @@ def test_a_finished_run(
     [
         (["train", "--resume", "{}/nowhere"], "no run was begun there; give the directory of a run"),
         (["train", "--resume", "{}", "--seed", "5"], "leave out seed (it is 4, given 5), or start another run"),
-        (["learner", "--resume", "auto"], "--resume auto needs --run-dir"),
     ],
 )
 def test_what_is_refused(
