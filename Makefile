@@ -29,7 +29,7 @@ train: setup  ## train; TASK=hopper LEARNER=ppo STEPS=3e6 ACTORS=1 SEED=0 PHYSIC
 		$(if $(STEPS),--total-steps $(STEPS)) $(ARGS)
 
 test: setup  ## all tests that fit in a few minutes
-	@$(BIN)/python -m pytest
+	@$(BIN)/python -m pytest -n 2 --dist loadfile
 
 test-docker: setup  ## docker-compose.yml for real: build, run, kill, scale; exit code 77 where it cannot be run here
 	@$(BIN)/python -m scripts.docker_test

@@ -7,7 +7,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from interruptions import Apart, Processes, audited, processes, small_options, train_until, updates_seen, wait_for
+
+from tests.integration.interruptions import (
+    Apart,
+    Processes,
+    audited,
+    processes,
+    small_options,
+    train_until,
+    updates_seen,
+    wait_for,
+)
 
 UPDATES = 60
 OPTIONS = small_options(UPDATES)
