@@ -12,10 +12,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from small_runs import ACTORS, TICK, small_run
 
 from common.wire.report import RunReport
 from reskpn.status import ask, connect, endpoint_of
+from tests.integration.small_runs import ACTORS, TICK, small_run
 
 LEASE_S = 2.0
 LATE_S = 4.0
