@@ -192,7 +192,10 @@ def test_a_peer_that_sends_too_much(sessions):
 
 @pytest.mark.parametrize("options", [{}, {"express": True, "high_priority": True}])
 def test_publish_and_subscribe(sessions, options):
-    """What is put reaches subscribers of the key and of a wildcard, in order."""
+    """What is put reaches subscribers of the key and of a wildcard.
+
+    One at a time: a put that finds the line busy is dropped, which a loaded machine may make of ten at once.
+    """
     learner, actor = sessions(listen=True), sessions()
     exact, wild = Queue(), Queue()
     actor.subscribe("t/policy/notify", lambda key, data: exact.put((key, data)))
@@ -201,9 +204,8 @@ def test_publish_and_subscribe(sessions, options):
     publisher = learner.publisher("t/policy/notify", **options)
     for i in range(10):
         publisher.put(bytes([i]))
-    expected = [("t/policy/notify", bytes([i])) for i in range(10)]
-    assert [exact.get(timeout=WAIT_S) for _ in range(10)] == expected
-    assert [wild.get(timeout=WAIT_S) for _ in range(10)] == expected
+        assert exact.get(timeout=WAIT_S) == ("t/policy/notify", bytes([i]))
+        assert wild.get(timeout=WAIT_S) == ("t/policy/notify", bytes([i]))
 
 
 def test_a_patient_publisher_waits_for_slow_subscribers(sessions):
