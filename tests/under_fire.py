@@ -23,6 +23,7 @@ from mutations import Mutator
 from common.errors import CodecError, ReskpnError
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
+from common.rollout_shape import rollout_shape
 from common.settings import RunSettings
 from common.settings_sources import parse_json
 from common.tasks import TASKS
@@ -36,7 +37,6 @@ from common.wire.messages import (
     Orders,
     PushReply,
     Rollout,
-    RolloutShape,
     Snapshot,
     digest_arrays,
 )
@@ -62,7 +62,7 @@ SETTINGS = RunSettings.model_validate(
     }
 )
 TASK = TASKS[SETTINGS.task]
-SHAPE = RolloutShape(SETTINGS.num_steps, SETTINGS.envs_per_actor, TASK.observation_size, TASK.action_size)
+SHAPE = rollout_shape(SETTINGS)
 
 
 class Doors:

@@ -12,9 +12,9 @@ from common.errors import CodecError, LogReadError
 from common.log.reader import LogMessage, LogReader, TornTail
 from common.log.segments import find_segments
 from common.recorded.window import Window
+from common.rollout_shape import rollout_shape
 from common.settings import RunSettings
 from common.settings_sources import parse_json
-from common.tasks import TASKS
 from common.wire.codec import Limits
 from common.wire.messages import Rollout, RolloutShape
 
@@ -115,7 +115,7 @@ class RecordedRun:
         self, topics: Collection[str] | None, on_unused: Callable[[Rollout], None]
     ) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
         window = Window(self.settings.actors, on_unused)
-        shape = self._shape()
+        shape = rollout_shape(self.settings)
         version = 0
         for message in self._reader.messages(topics):
             content: RecordedUpdate | Rollout | None = None
@@ -132,10 +132,6 @@ class RecordedRun:
                 version = update.version
             yield message, content
         window.end()
-
-    def _shape(self) -> RolloutShape:
-        task, settings = TASKS[self.settings.task], self.settings
-        return RolloutShape(settings.num_steps, settings.envs_per_actor, task.observation_size, task.action_size)
 
     def _read_spec(self) -> dict[str, Any]:
         message = next(self._reader.messages(["/spec"]), None)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from common.rollout_shape import rollout_shape
 from common.settings import RunSettings
-from common.tasks import TASKS
 
 KEPT_CHECKPOINTS = 3
 UPDATE_BYTES = 8_000
@@ -31,11 +31,11 @@ def rollout_bytes(settings: RunSettings) -> int:
 
     Where the run branches, the mirrored step as well.
     """
-    task = TASKS[settings.task]
-    step = 4 * (task.observation_size + task.action_size + 2) + 2
-    last = 4 * task.observation_size
-    mirrored = settings.branches // settings.actors * (step - 4 + last)
-    return settings.envs_per_actor * (settings.num_steps * step + last) + mirrored + ROLLOUT_BYTES
+    shape = rollout_shape(settings)
+    step = 4 * (shape.observation_size + shape.action_size + 2) + 2
+    last = 4 * shape.observation_size
+    mirrored = shape.branches * (step - 4 + last)
+    return shape.num_envs * (shape.num_steps * step + last) + mirrored + ROLLOUT_BYTES
 
 
 def needs(settings: RunSettings, policy_bytes: int, state_bytes: int) -> Needs:

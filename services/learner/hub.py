@@ -16,8 +16,8 @@ from common.errors import CodecError, RefusedError
 from common.log.records import encode_json
 from common.log.writer import LogWriter
 from common.printable import printable
+from common.rollout_shape import rollout_shape
 from common.settings import RunSettings
-from common.tasks import TASKS
 from common.wire.keys import JOIN, STATUS, Keys, parse_alive
 from common.wire.messages import (
     FINISHED,
@@ -27,7 +27,6 @@ from common.wire.messages import (
     JoinReply,
     PushReply,
     Rollout,
-    RolloutShape,
     Snapshot,
     digest_arrays,
 )
@@ -65,20 +64,13 @@ class Hub:
         """`on_event(level, name, text)` is told what a person may want to know; it must not block. A resumed run's
         slots go on at `starts`; its log has the `logged_environments` (version, slot, generation).
         """
-        task = TASKS[settings.task]
         self._run = run
         self._settings = settings
         self._session = session
         self._log = log
         self._on_event = on_event
         self._keys = Keys(run)
-        self._shape = RolloutShape(
-            settings.num_steps,
-            settings.envs_per_actor,
-            task.observation_size,
-            task.action_size,
-            settings.branches // settings.actors,
-        )
+        self._shape = rollout_shape(settings)
         self._changed = threading.Condition()
         # Under the condition, from here
         self._fleet = Fleet(run, settings.actors, starts)

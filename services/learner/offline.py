@@ -31,6 +31,13 @@ def require_same_rollouts(recorded: RunSettings, settings: RunSettings) -> None:
                 f"{name} is {new!r}, but the recorded rollouts were made with {old!r}; leave it out, for it cannot be "
                 "changed afterwards"
             )
+    if bool(recorded.branches) != bool(settings.branches):
+        made, needs = ("with", "none") if recorded.branches else ("without", "them")
+        raise SettingsError(
+            f"the recorded rollouts were made {made} mirrored steps, and learner {settings.learner} with rkhs.estimate "
+            f"{settings.rkhs.estimate} takes {needs}; choose a learner with h and rkhs.estimate "
+            f"{recorded.rkhs.estimate if recorded.branches else 'score'}"
+        )
 
 
 def train_offline(

@@ -197,3 +197,24 @@ def test_memory_is_that_of_the_window(tmp_path: Path) -> None:
         del used
         most = max(most, len(alive))
     assert most <= 4
+
+
+def test_a_run_that_branches_is_read(recording: Recording, tmp_path: Path) -> None:
+    """With the mirrored step of every environment, as its settings say; one without it is not of this run."""
+    estimate = {"estimate": "symmetric", "capacity": 4}
+    run = trainer_settings().model_dump(mode="json") | {"rkhs": estimate}
+    _, update = recording.of("/update")[0]
+    made = {
+        "mirror_action": np.ones((2, 1), np.float32),
+        "mirror_reward": np.ones(2, np.float32),
+        "mirror_terminated": np.zeros(2, bool),
+        "mirror_truncated": np.zeros(2, bool),
+        "mirror_obs": np.ones((2, 4), np.float32),
+    }
+    spec = ("/spec", {"run": "run-1", "settings": run})
+    rollouts = [("/rollout", dataclasses.replace(one, **made).encode()) for one in batch(1)]
+    (read,) = open_run(write_log(tmp_path / "x", [spec, *rollouts, ("/update", update)])).updates()
+    assert [len(one.mirror_reward) for one in read.rollouts] == [2, 2]
+    plain = [("/rollout", one.encode()) for one in batch(1)]
+    with pytest.raises(LogReadError, match=r"is not a rollout of this run: .*mirror_action"):
+        list(open_run(write_log(tmp_path / "y", [spec, *plain, ("/update", update)])).updates())

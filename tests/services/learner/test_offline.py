@@ -42,3 +42,15 @@ def test_rollouts_are_as_they_were_made(name: str) -> None:
     other = recorded.model_copy(update={name: "hopper" if name == "task" else 77})
     with pytest.raises(SettingsError, match=f"^{name} is .*, but the recorded rollouts were made with "):
         require_same_rollouts(recorded, other)
+
+
+def test_mirrored_steps_are_there_or_not() -> None:
+    """A run that branched can only teach a learner that takes pairs, and the other way round."""
+    plain = trainer_settings()
+    rkhs = plain.rkhs.model_copy(update={"estimate": "symmetric"})
+    branching = plain.model_copy(update={"rkhs": rkhs})
+    require_same_rollouts(branching, branching)
+    with pytest.raises(SettingsError, match=r"made with mirrored steps, .* score takes none; .* symmetric$"):
+        require_same_rollouts(branching, plain)
+    with pytest.raises(SettingsError, match=r"made without mirrored steps, .*symmetric takes them; .* score$"):
+        require_same_rollouts(plain, branching)
