@@ -50,6 +50,7 @@ lock:  ## pin the requirements anew
 	@$(COMPILE) pyproject.toml -o requirements/run.txt
 	@$(COMPILE) --extra dev -c requirements/run.txt pyproject.toml -o requirements/dev.txt
 	@$(COMPILE) --extra cuda -c requirements/run.txt pyproject.toml -o requirements/cuda.txt
+	@$(COMPILE) --extra tensorboard -c requirements/run.txt pyproject.toml -o requirements/tensorboard.txt
 	@printf 'setuptools\nwheel\n' | $(COMPILE) -c requirements/dev.txt - -o requirements/build.txt
 
 clean:  ## remove the environment and caches, not the runs
