@@ -13,7 +13,7 @@ from typing import Literal, Self
 from pydantic import field_validator, model_validator
 
 from common.learners import LEARNERS
-from common.settings_kinds import Count, Fraction, Natural, NotNegative, Positive, Section, Seed
+from common.settings_kinds import Count, Fraction, Natural, NotNegative, Positive, Section, Seed, Staleness
 from common.settings_rkhs import RkhsSettings, impossibility
 from common.tasks import EPISODE_LENGTH, TASKS, unknown_name
 
@@ -122,8 +122,11 @@ class RunSettings(Section):
     """steps each environment takes for one update"""
     seed: Seed = 0
     """seed of networks, environments and sampling"""
-    mode: Literal["sync"] = "sync"
-    """sync: every update uses rollouts of the newest policy only, and a run can be repeated bit for bit"""
+    mode: Literal["sync", "async"] = "sync"
+    """sync: every update uses rollouts of the newest policy only, and a run can be repeated bit for bit; async: actors
+    work on while the learner updates"""
+    max_staleness: Staleness = 1
+    """versions that a rollout may lie behind the policy that it updates; in mode sync none ever does"""
     run_dir: Path | None = None
     """where the run is kept; default: runs/<task>-<learner>-s<seed>-<time>"""
     episode_length: Count = EPISODE_LENGTH
@@ -190,6 +193,11 @@ class RunSettings(Section):
     def batch_size(self) -> int:
         """Transitions of one update, B = N * T."""
         return self.num_envs * self.num_steps
+
+    @property
+    def staleness(self) -> int:
+        """The bound on staleness that the mode makes of `max_staleness`."""
+        return self.max_staleness if self.mode == "async" else 0
 
     @property
     def updates(self) -> int:

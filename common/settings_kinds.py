@@ -20,6 +20,7 @@ def whole(value: Any) -> Any:
 Count = Annotated[int, BeforeValidator(whole), Field(ge=1)]
 Natural = Annotated[int, BeforeValidator(whole), Field(ge=0)]
 Seed = Annotated[int, BeforeValidator(whole), Field(ge=0, lt=2**32)]  # JAX drops higher bits: two seeds, one run
+Staleness = Annotated[int, BeforeValidator(whole), Field(ge=0, le=4)]  # what is older teaches little, and must be kept
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]

@@ -107,6 +107,7 @@ class Siege:
     turned_away: int = 0
     version: int = 0
     names: list[str] = field(default_factory=list)
+    generations: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._rng = random.Random(self.seed)
@@ -157,12 +158,14 @@ class Siege:
         self.version += 1
         self.hub.begin(_snapshot(self.version))
         self.names = [f"{self.version}-{slot}" for slot in range(SETTINGS.actors)]
+        self.generations = {}
         for slot, name in enumerate(self.names):
             reply = JoinReply.decode(self._ask(JOIN, _join(name).encode()))
             assert (reply.accepted, reply.slot) == (True, slot)
             self.joined += 1
             self._doors.heard[KEYS.heartbeats](KEYS.heartbeat(slot), _heartbeat(slot, name).encode())
-            made = _rollout(slot, name, 0, self.version, self._rng)
+            self.generations[name] = reply.generation
+            made = self._rollout(slot, name, 0)
             assert self._push(made.encode(), slot) == PushReply("accepted", "")
         batch = self.hub.rollouts(DEADLINE_S)
         assert batch is not None
@@ -181,7 +184,7 @@ class Siege:
         name = self.names[slot] if self.names else "nobody"
         returns, lengths = np.float32([10, 30]), np.int32([5, 7])
         return {
-            "rollout": _rollout(slot, name, 1, self.version, self._rng).encode(),
+            "rollout": self._rollout(slot, name, 1).encode(),
             "environment": _environment(slot, name, self.version).encode(),
             "evaluation": Evaluation(RUN, slot, name, self.version, returns, lengths).encode(),
             "join": _join(f"stranger-{self.version}").encode(),
@@ -192,6 +195,9 @@ class Siege:
             "join_reply": JoinReply(True, "", False, RUN, slot, 0, SETTINGS.model_dump_json()).encode(),
             "report": self.hub.report().encode(),
         }
+
+    def _rollout(self, slot: int, name: str, seq: int) -> Rollout:
+        return _rollout(slot, name, seq, self.version, self.generations.get(name, 0), self._rng)
 
     # -- the doors -----------------------------------------------------------------------------------------
 
@@ -364,7 +370,7 @@ def _snapshot(version: int) -> Snapshot:
     return Snapshot(RUN, version, digest_arrays(arrays), arrays)
 
 
-def _rollout(slot: int, incarnation: str, seq: int, version: int, rng: random.Random) -> Rollout:
+def _rollout(slot: int, incarnation: str, seq: int, version: int, generation: int, rng: random.Random) -> Rollout:
     """One of `SETTINGS`, with an episode that fell and one that was cut."""
     draw = np.random.default_rng(rng.getrandbits(32)).standard_normal
     steps, envs, observation, action = SHAPE.num_steps, SHAPE.num_envs, SHAPE.observation_size, SHAPE.action_size
@@ -388,5 +394,6 @@ def _rollout(slot: int, incarnation: str, seq: int, version: int, rng: random.Ra
         episode_return=np.float32([3, 4]),
         episode_length=np.int32([2, 4]),
         timing={"collect": 0.25, "physics": 0.5},
+        generation=generation,
         **no_mirror(observation, action),
     )

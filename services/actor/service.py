@@ -137,37 +137,39 @@ class Life:
                 self._restore(collector)
             self._heart.state("waiting")
             orders: Orders | None = None
+            more = False
             while not self._stop.is_set():
-                newer = self._link.orders(newer_than=orders, timeout_s=ORDERS_S)
-                if newer is None:
+                newer = self._link.orders(newer_than=orders, timeout_s=0.0 if more else ORDERS_S)
+                orders = newer or orders
+                if orders is None or not (newer or more):
                     continue
-                orders = newer
                 if orders.finished:
                     return True
-                self._follow(orders, reader, collector)
+                more = self._follow(orders, reader, collector)
         return False
 
-    def _follow(self, orders: Orders, reader: PolicyReader, collector: Collector) -> None:
-        """Do what is asked of this slot and is not yet done. Lost where the slot is nobody's any more."""
+    def _follow(self, orders: Orders, reader: PolicyReader, collector: Collector) -> bool:
+        """Do the next thing that is asked of this slot; whether there may be more, unless newer orders have come.
+
+        Lost where the slot is nobody's any more.
+        """
         slot = self._member.slot
         if slot not in orders.collect:
             raise Lost("the learner has given this actor up")
         wanted = orders.collect[slot] - (self._made if self._version == orders.version else 0)
-        if wanted <= 0 and slot not in orders.evaluate:
-            return
+        evaluate = slot in orders.evaluate and self._evaluated != orders.version
+        if wanted <= 0 and not evaluate:
+            return False
         if self._version != orders.version:
             snapshot = self._link.snapshot()
             self._policy, self._version, self._made = reader.read(snapshot.arrays), snapshot.version, 0
             self._heart.version = snapshot.version
         if self._policy is None or self._version != orders.version:
-            return  # the learner has moved on: newer orders are on their way
-        if wanted > 0 and orders.hand_in and not self._hand_in(collector):
-            return
-        for _ in range(wanted):
-            if not self._collect(collector, self._policy):
-                return
-        if slot in orders.evaluate and self._evaluated != orders.version:
-            self._evaluate(reader, self._policy, orders.evaluate[slot])
+            return False  # the learner has moved on: newer orders are on their way
+        if wanted > 0:
+            return (self._hand_in(collector) if orders.hand_in else True) and self._collect(collector, self._policy)
+        self._evaluate(reader, self._policy, orders.evaluate[slot])
+        return False
 
     def _restore(self, collector: Collector) -> None:
         """Go on from the environments that the learner keeps for this slot."""

@@ -57,10 +57,11 @@ class Again:
             self._digests[update.version] = update.digest
         collect = version < settings.updates and (self._acting or version >= last)
         restored = self._acting and version == self._resumption.version
+        kept = settings.mode == "sync" and version > 0 and version % settings.log.checkpoint_every == 0
         return self._hub.begin(
             snapshot,
             collect=collect,
-            hand_in=collect and version > 0 and version % settings.log.checkpoint_every == 0 and not restored,
+            hand_in=collect and kept and not restored,
             logged=logged if self._acting else (),
             settled=() if self._acting or version < last else logged,
         )

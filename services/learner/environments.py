@@ -12,7 +12,8 @@ from common.wire.keys import Keys
 from common.wire.messages import Environment, PushReply
 from common.wire.session import Request
 from services.learner.checkpoints import KeptEnvironments
-from services.learner.fleet import ACCEPTED, Fleet
+from services.learner.fleet import Fleet
+from services.learner.slots import ACCEPTED
 
 
 class EnvironmentDesk:

@@ -1,43 +1,51 @@
 """Who works for the learner, what is asked of them, and which of their rollouts count.
 
-A slot is a place in the batch. It is given to one incarnation (one life of an actor process) at a time. In sync mode
-an update takes exactly `slots` rollouts of the current version: one from each slot, or, while a slot has lost its
-actor, another from those that are left. A slot that nobody has held yet is waited for, so that a run's first batch,
-and with it the whole run, is the same whichever actor comes first; unless `excuse` says that the wait is over.
+A slot is a place in the batch. It is given to one incarnation (one life of an actor process) at a time. What an update
+is made of is the mode's business: `SyncBatch` or `AsyncQueue`.
 
 Nothing here knows of threads, clocks or Zenoh: the service holds a lock around every call and says what time it is.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
 
 from common.errors import RefusedError
+from common.settings import RunSettings
 from common.wire.messages import Heartbeat, Orders, PushReply, Rollout
-from services.learner.comparison import Comparison
-from services.learner.slots import Counts, Member, Place, Slot, Start
+from services.learner.async_queue import AsyncQueue
+from services.learner.slots import ACCEPTED, Counts, Member, Slot, Start
+from services.learner.sync_batch import SyncBatch
 from services.learner.waiting import describe_missing
 
-ACCEPTED = PushReply("accepted", "")
+Gathering = SyncBatch | AsyncQueue
+
+
+def gathering_of(settings: RunSettings) -> Callable[[Sequence[Slot]], Gathering]:
+    """Makes what collects rollouts in the run's mode."""
+    if settings.mode == "sync":
+        return SyncBatch
+    return partial(AsyncQueue, max_staleness=settings.staleness, updates=settings.updates)
 
 
 class Fleet:
-    """The slots of one run and the rollouts of the version being collected."""
+    """The slots of one run and the rollouts that the next updates are made of."""
 
-    def __init__(self, run: str, slots: int, starts: Sequence[Start] = ()) -> None:
-        """`starts` by slot, where a run is resumed."""
+    def __init__(
+        self,
+        run: str,
+        slots: int,
+        starts: Sequence[Start] = (),
+        gather: Callable[[Sequence[Slot]], Gathering] = SyncBatch,
+    ) -> None:
+        """`starts` by slot, where a run is resumed; `gather` makes the batch of the run's mode from the slots."""
         self._run = run
         self._slots = [Slot(number) for number in range(slots)]
         self._set_out(starts)
+        self._gathering = gather(self._slots)
         self._version = 0
-        self._collecting = True
         self._hand_in = False
-        self._settled: set[int] = set()
-        self._again = Comparison()
-        self._taken: dict[Place, Rollout] = {}
-        self._under_way: dict[tuple[int, str, int], Place] = {}
-        self._extra: Counter[int] = Counter()
         self._gone: set[str] = set()
         self._evaluator: int | None = None
         self._episodes = 0
@@ -71,6 +79,8 @@ class Fleet:
 
         Returns the slots that were waited for until now.
         """
+        if not self._gathering.waits:
+            return []
         excused = [slot for slot in self._slots if slot.awaited and slot.member is None]
         for slot in excused:
             slot.excused = True
@@ -85,8 +95,7 @@ class Fleet:
                 slot.member = None
                 self._gone.add(incarnation)
                 self.counts.lost += 1
-                if not slot.awaited:
-                    self._again.lost(slot.number)
+                self._gathering.lost(slot)
                 if self._evaluator == slot.number:
                     self._evaluator = None
                 self._share_out()
@@ -133,23 +142,23 @@ class Fleet:
         hand_in: bool = False,
         logged: Collection[Rollout] = (),
         settled: Collection[Rollout] = (),
-    ) -> None:
+    ) -> list[Rollout]:
         """Collect for this version from now on, or nothing any more (the last version of a run).
 
         Args:
             hand_in: ask for the environments' states as well.
             logged: rollouts of this version that are in the log of a resumed run: made again they are compared with
                 it and not logged twice, and the batch takes those of the log.
-            settled: such rollouts that are not to be made again: their slots have nothing to do.
+            settled: rollouts in the log that are not to be made again. In sync mode their slots have nothing to do.
+
+        Returns:
+            Accepted rollouts that are too old to be used any more.
         """
         self._version = version
-        self._collecting = collect
         self._hand_in = hand_in
-        self._again.begin(logged)
-        self._taken.clear()
-        self._settle(settled)
-        self._extra.clear()
+        overtaken = self._gathering.begin(version, collect=collect, logged=logged, settled=settled)
         self._share_out()
+        return overtaken
 
     def admit(self, rollout: Rollout) -> PushReply | None:
         """Whether a rollout may be logged and used: None if so, else the answer for its sender.
@@ -163,55 +172,46 @@ class Fleet:
             return self._refuse(
                 "incarnation", f"slot {rollout.slot} is not held by {rollout.incarnation!r}; join again"
             )
-        if rollout.key in self._under_way:
+        if rollout.generation != member.generation:
+            return self._refuse(
+                "generation", f"{rollout.incarnation!r} has generation {member.generation}, not {rollout.generation}"
+            )
+        if rollout.key in self._gathering.under_way:
             return PushReply("busy", "this rollout is being written to the log")
         if rollout.seq < member.next_seq:
             self.counts.repeated += 1
             return ACCEPTED
-        if rollout.policy_version != self._version or self.departure is not None:
-            return self._refuse("stale", f"made with policy {rollout.policy_version}; policy {self._version} is wanted")
-        if not self._collecting or len(self._taken) + len(self._under_way) >= len(self._slots):
-            return self._refuse("surplus", f"policy {self._version} has all the rollouts it needs")
+        if (objection := self._gathering.objection(rollout)) is not None:
+            return self._refuse(*objection)
         if rollout.seq > member.next_seq:
             return self._refuse("gap", f"rollout {rollout.seq} came where {member.next_seq} is next")
         member.next_seq = rollout.seq + 1
         self._slots[rollout.slot].start = None
-        place = (rollout.slot, member.generation, rollout.seq)
-        if (logged := self._again.logged(place, rollout)) is not None:
-            self._taken[place] = logged
-            return ACCEPTED
-        self._under_way[rollout.key] = place
-        return None
+        return self._gathering.admit(rollout)
 
     def accept(self, rollout: Rollout) -> None:
         """The rollout is in the log: it counts."""
-        place = self._under_way.pop(rollout.key)
-        if rollout.policy_version == self._version:
-            self._taken[place] = rollout
+        self._gathering.accept(rollout)
 
     def take(self) -> list[Rollout] | None:
-        """All rollouts of the version in (slot, generation, seq) order, once they are complete; else None."""
-        if len(self._taken) < len(self._slots):
-            return None
-        return [self._taken[place] for place in sorted(self._taken)]
+        """The rollouts of the next update in (slot, generation, seq) order, once they are there; else None."""
+        return self._gathering.take()
 
     # -- resuming ------------------------------------------------------------------------------------------
 
     @property
     def departure(self) -> str | None:
         """Why what is made again is not what the log holds; None while it is the same."""
-        return self._again.departure
+        return self._gathering.departure
 
     def start_over(self, starts: Sequence[Start], settled: Collection[Rollout], *, collect: bool) -> None:
         """Free every slot, to go on at `starts`; the rest as `begin`. What was accepted stays good."""
-        self._collecting = collect
         for slot in self._slots:
             if slot.member is not None:
                 self._gone.add(slot.member.incarnation)
                 slot.member = None
         self._set_out(starts)
-        self._again.begin(())
-        self._settle(settled)
+        self._gathering.start_over(settled, collect=collect)
         self._share_out()
 
     def starts_from(self, slot: int) -> bytes | None:
@@ -237,7 +237,7 @@ class Fleet:
     def orders(self, *, digest: str, size: int, t_ns: int) -> Orders:
         """What is wanted now. `collect` counts from the version's start and names every slot that is held."""
         collect = {
-            slot.number: self._wanted(slot.number)
+            slot.number: self._gathering.wanted(slot.number)
             for slot in self._slots
             if slot.member is not None and not self._finished
         }
@@ -246,12 +246,11 @@ class Fleet:
 
     def waiting_for(self, now_s: float) -> str:
         """What holds the run up, for a person: "waiting for 1 of 2 rollouts: slot 1 compiling 12 s"; else empty."""
-        missing = len(self._slots) - len(self._taken)
-        if not missing or not self._collecting:
+        missing, brought = self._gathering.missing, self._gathering.brought
+        if not missing:
             return ""
-        done = {number for number, _, _ in self._taken}
-        written = {number for number, _, _ in self._under_way.values()} - done
-        who = describe_missing(self._slots, done, written, now_s)
+        written = {number for number, _, _ in self._gathering.under_way.values()} - brought
+        who = describe_missing(self._slots, brought, written, now_s)
         return f"waiting for {missing} of {len(self._slots)} rollouts: {who}"
 
     def members(self) -> list[tuple[int, Member]]:
@@ -263,8 +262,8 @@ class Fleet:
 
     @property
     def taken(self) -> int:
-        """Rollouts of this version that are in the log."""
-        return len(self._taken)
+        """Rollouts for the next update that are in the log."""
+        return self._gathering.there
 
     @property
     def episodes(self) -> int:
@@ -286,37 +285,17 @@ class Fleet:
 
     # -- inside --------------------------------------------------------------------------------------------
 
-    def _wanted(self, slot: int) -> int:
-        if not self._collecting or slot in self._settled:
-            return 0
-        return 1 + self._extra[slot]
-
     def _set_out(self, starts: Sequence[Start]) -> None:
         for slot, start in zip(self._slots, starts, strict=False):
             slot.given, slot.start = start.generation, start
-
-    def _settle(self, rollouts: Collection[Rollout]) -> None:
-        self._taken |= {rollout.place: rollout for rollout in rollouts}
-        self._settled = {rollout.slot for rollout in rollouts}
 
     def _refuse(self, reason: str, text: str) -> PushReply:
         self.counts.refused[reason] += 1
         return PushReply("refused", f"{reason}: {text}")
 
     def _share_out(self) -> None:
-        """Hand the work of slots without an actor to those that have one.
-
-        A slot counts as manned while its first actor has yet to come and is waited for, and while an actor is in it,
-        unless that is a late or a returning one that still compiles: it is used from when it is ready.
-        """
+        """Settle anew who does what: after every change of who is here."""
         if self._episodes and self._evaluator is None:
             ready = [slot.number for slot in self._slots if slot.member is not None and slot.member.ready]
             self._evaluator = ready[0] if ready else None
-        manned = [slot for slot in self._slots if slot.manned]
-        able = [slot.number for slot in manned if slot.member is not None]
-        delivered = {number for number, _, _ in self._taken}
-        orphaned = [slot.number for slot in self._slots if slot not in manned and slot.number not in delivered]
-        self._extra.clear()
-        for turn, _ in enumerate(orphaned):
-            if able:
-                self._extra[able[turn % len(able)]] += 1
+        self._gathering.share_out()

@@ -36,8 +36,8 @@ from services.learner.admission import check_evaluation, check_heartbeat, check_
 from services.learner.census import Census
 from services.learner.display import Status
 from services.learner.environments import EnvironmentDesk
-from services.learner.fleet import ACCEPTED, Fleet
-from services.learner.slots import Start
+from services.learner.fleet import Fleet, gathering_of
+from services.learner.slots import ACCEPTED, Start
 
 SILENT_S = 30.0
 """An actor that sends no heartbeat for so long has lost its slot, whatever its connection looks like."""
@@ -73,7 +73,7 @@ class Hub:
         self._shape = rollout_shape(settings)
         self._changed = threading.Condition()
         # Under the condition, from here
-        self._fleet = Fleet(run, settings.actors, starts)
+        self._fleet = Fleet(run, settings.actors, starts, gathering_of(settings))
         self._snapshot = b""
         self._digest = ""
         self._evaluation: Evaluation | None = None
@@ -117,7 +117,12 @@ class Hub:
         data = snapshot.encode()
         with self._changed:
             self._snapshot, self._digest = data, snapshot.digest
-            self._fleet.begin(snapshot.version, collect=collect, hand_in=hand_in, logged=logged, settled=settled)
+            overtaken = self._fleet.begin(
+                snapshot.version, collect=collect, hand_in=hand_in, logged=logged, settled=settled
+            )
+            for rollout in overtaken:
+                text = f"made with policy {rollout.policy_version}, overtaken by those of version {snapshot.version}"
+                self._census.refused("rollout", "overtaken", text, time.monotonic())
             self.environments.forget()
             self._census.published(snapshot.version, time.monotonic())
         self.announce()

@@ -18,7 +18,7 @@ from services.learner.slots import Place
 from services.learner.tail import LoggedUpdate, place_of, read_updates
 
 UNUSED_UPDATES = 2
-"""Rollouts that no update has used yet lie after the last update but one."""
+"""Rollouts that no update has used yet lie after the last update but one; in async mode, but one more by staleness."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +35,15 @@ class LoggedRun:
 
     Attributes:
         updates: by the version they led to.
-        unused: rollouts of the last version that no update has used.
+        staleness: versions that a rollout may lie behind the policy that it updates.
+        unused: rollouts that no update has used, of the last version or as little behind it as that; in their order.
         episodes: the `/episode` records.
         environments: (version, slot, generation) of the environment states in the log.
         ahead: (topic, version) of records beyond the last update.
     """
 
     segments: list[Path]
+    staleness: int = 0
     updates: dict[int, UpdateEntry] = field(default_factory=dict)
     unused: list[Rollout] = field(default_factory=list)
     episodes: list[dict[str, Any]] = field(default_factory=list)
@@ -68,22 +70,25 @@ class LoggedRun:
 
     def updates_after(self, version: int) -> Iterator[LoggedUpdate]:
         """The updates after that version with their rollouts, read as they are asked for."""
-        # What belongs to version v is not written before the update to v - 1.
-        early = [n for n, first in enumerate(self.first_version) if first is not None and first < version]
+        # What belongs to version v is not written before the update to v - 1; rollouts, before that to v - 1 - S.
+        oldest = version - self.staleness
+        early = [n for n, first in enumerate(self.first_version) if first is not None and first < oldest]
         readers = [LogReader(path) for path in self.segments[max(early, default=0) :]]
-        return read_updates(chain.from_iterable(r.messages(["/rollout", "/update"]) for r in readers), version)
+        messages = chain.from_iterable(reader.messages(["/rollout", "/update"]) for reader in readers)
+        return read_updates(messages, version, self.staleness)
 
 
-def read_logged_run(run_dir: Path, slots: int) -> LoggedRun:
-    """Read the log of a run of so many slots.
+def read_logged_run(run_dir: Path, slots: int, staleness: int = 0) -> LoggedRun:
+    """Read the log of a run of so many slots, with rollouts as stale as that.
 
     Raises:
         LogReadError: there is none, or it is damaged.
         CodecError: a message of it is not what its channel holds.
     """
-    found = LoggedRun(find_segments(run_dir))
+    found = LoggedRun(find_segments(run_dir), staleness)
     newest: dict[str, LogMessage] = {}
-    rollouts: deque[bytes] = deque(maxlen=(UNUSED_UPDATES + 1) * slots)
+    # Those of one version lie among (S + 1) K that came before it was used up and (S + 1) K that came after.
+    rollouts: deque[bytes] = deque(maxlen=(UNUSED_UPDATES + 1 + 2 * staleness) * slots)
     for path in found.segments:
         first: int | None = None
         for message in LogReader(path).messages():
@@ -110,10 +115,10 @@ def _add_update(found: LoggedRun, record: dict[str, Any]) -> int:
 
 
 def _look_beyond(found: LoggedRun, newest: dict[str, LogMessage], rollouts: deque[bytes]) -> None:
-    last = found.last
-    used = {place for version in range(last - UNUSED_UPDATES, last + 1) for place in _places(found, version)}
+    last, oldest = found.last, found.last - found.staleness
+    used = {place for version in range(oldest - UNUSED_UPDATES, last + 1) for place in _places(found, version)}
     decoded = [Rollout.decode(data) for data in rollouts]
-    found.unused = [made for made in decoded if made.policy_version == last and made.place not in used]
+    found.unused = [made for made in decoded if made.policy_version >= oldest and made.place not in used]
     versions: dict[str, int] = {
         topic: newest[topic].json()["version"] for topic in ("/episode", "/eval") if topic in newest
     }

@@ -17,7 +17,7 @@ from common.settings import RunSettings
 from common.wire.messages import Snapshot
 from services.learner.checkpoints import list_checkpoints, put_aside, read_checkpoint, read_environments
 from services.learner.logged_run import LoggedRun, read_logged_run
-from services.learner.slots import Start
+from services.learner.slots import Place, Start
 from services.learner.tail import Tail, departure
 
 RESTORED = "parameters, optimiser, expansion and its momentum, normalisers, RNG key and counters"
@@ -52,7 +52,7 @@ class Resumption:
 
 @dataclass(frozen=True)
 class Found:
-    """A checkpoint that the run can go on from. `starts` is empty at the last version of the run."""
+    """A checkpoint that the run can go on from. `starts` is empty where no slot goes on: at the end, in async mode."""
 
     version: int
     arrays: Mapping[str, np.ndarray] | None
@@ -74,17 +74,12 @@ def resume_run(settings: RunSettings, run_dir: Path) -> Resumption | None:
     run = LogReader(run_dir).metadata().get("run", {}).get("run")
     if run is None:
         return None
-    logged = _read(run_dir, settings.actors)
+    logged = _read(run_dir, settings)
     found = pick(run, settings, run_dir, logged, notes)
     updates = logged.places(found.version)
-    unused = [rollout.place for rollout in logged.unused]
-    by_log = None
-    if logged.last >= settings.updates:
-        by_log = "no environments are needed any more" if updates else None
-    elif updates or unused:
-        by_log = departure(found.starts, updates, unused, found.version)
+    by_log = _by_log(settings, found, logged, updates)
     afresh = _afresh(settings.actors, found, logged)
-    notes.append(_restored(found, len(updates), len(unused)))
+    notes.append(_restored(found, len(updates), len(logged.unused)))
     return Resumption(
         run=run,
         version=found.version,
@@ -99,9 +94,19 @@ def resume_run(settings: RunSettings, run_dir: Path) -> Resumption | None:
     )
 
 
-def _read(run_dir: Path, slots: int) -> LoggedRun:
+def _by_log(settings: RunSettings, found: Found, logged: LoggedRun, updates: Sequence[tuple[Place, ...]]) -> str | None:
+    """Why the log's updates after the checkpoint are made from its rollouts, without acting again; None where not."""
+    if settings.mode == "async":
+        return "in async mode what actors make depends on the timing, and cannot be made again"
+    if logged.last >= settings.updates:
+        return "no environments are needed any more" if updates else None
+    unused = [rollout.place for rollout in logged.unused]
+    return departure(found.starts, updates, unused, found.version) if updates or unused else None
+
+
+def _read(run_dir: Path, settings: RunSettings) -> LoggedRun:
     try:
-        return read_logged_run(run_dir, slots)
+        return read_logged_run(run_dir, settings.actors, settings.staleness)
     except (CodecError, KeyError) as error:
         raise LogReadError(
             f"the log in {run_dir} cannot be used: {error}; resume it with the release that wrote it"
@@ -154,7 +159,7 @@ def _usable(path: Path, run: str, settings: RunSettings, logged: LoggedRun) -> F
         raise CheckpointError(
             f"{path} has digest {state.digest}, its update in the log {entry.digest}: it is not of this log"
         )
-    if state.version >= settings.updates:
+    if state.version >= settings.updates or settings.mode == "async":
         return Found(state.version, state.arrays, [])
     return Found(state.version, state.arrays, _starts(path, state, settings.actors))
 

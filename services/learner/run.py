@@ -45,6 +45,12 @@ class Step:
     logged: bool
     """Whether a resumed run's log has it already."""
 
+    @property
+    def staleness(self) -> dict[str, float]:
+        """Versions between the policies that made the rollouts and the one that was updated: min, mean, max."""
+        behind = [self.version - 1 - rollout.policy_version for rollout in self.rollouts]
+        return {"min": min(behind), "mean": sum(behind) / len(behind), "max": max(behind)}
+
 
 class Run:
     """One training run from its first version to its last."""
@@ -79,6 +85,7 @@ class Run:
         self._began_s: float | None = None
         self._began_version = 0
         self._centres = 0
+        self._staleness = 0.0
         self._log_busy_s = 0.0
 
     @property
@@ -211,6 +218,7 @@ class Run:
         self.returns.add(step.version, episodes)
         self.physics |= self._hub.engines()
         self._centres = round(step.metrics.get("rkhs/centres", 0))
+        self._staleness = step.staleness["mean"]
         if not step.logged:
             self._write(step, episodes)
         self._show("training", "")
@@ -219,7 +227,6 @@ class Run:
         record = episodes.record(step.version)
         if record is not None and not self._again.holds("/episode", step.version):
             self._log.write("/episode", record)
-        staleness = [step.version - 1 - rollout.policy_version for rollout in step.rollouts]
         update = {
             "version": step.version,
             "env_steps": self.env_steps,
@@ -236,11 +243,7 @@ class Run:
             "state_digest": step.digest,
             "metrics": step.metrics,
             "seconds": step.seconds,
-            "staleness": {
-                "min": min(staleness),
-                "mean": sum(staleness) / len(staleness),
-                "max": max(staleness),
-            },
+            "staleness": step.staleness,
         }
         self._log.write("/update", update)
         self._hub.publish_metrics(encode_json(update))
@@ -248,6 +251,7 @@ class Run:
             self.env_steps,
             step.metrics
             | {f"seconds/{name}": value for name, value in step.seconds.items()}
+            | {f"staleness/{name}": value for name, value in step.staleness.items()}
             | {"run/steps_per_s": self.steps_per_s, "run/return": self.returns.newest},
         )
 
@@ -261,7 +265,7 @@ class Run:
             total_steps=self._settings.updates * self._settings.batch_size,
             steps_per_s=self.steps_per_s,
             train_return=self.returns.newest,
-            staleness=0.0,
+            staleness=self._staleness,
             centres=self._centres,
             capacity=self._settings.capacity,
             actors=self._hub.actors(),

@@ -5,10 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from common.wire.messages import Environment
+from common.wire.messages import Environment, PushReply
 
 Place = tuple[int, int, int]
 """Slot, generation and seq: where a rollout stands in the batch."""
+
+RolloutKey = tuple[int, str, int]
+"""Slot, incarnation and seq: `Rollout.key`."""
+
+Objection = tuple[str, str]
+"""Why a rollout is not used: the reason that is counted, and a text for a person."""
+
+ACCEPTED = PushReply("accepted", "")
 
 
 @dataclass

@@ -30,7 +30,7 @@ class Tail:
     Args:
         last: version of the last update in the log.
         updates: those after the checkpoint, in order.
-        unused: rollouts of version `last` that no update has used yet.
+        unused: rollouts that no update has used yet and the next ones may.
         ahead: (topic, version) of records that were written ahead of their update, and so must not be written again.
     """
 
@@ -72,8 +72,11 @@ class Tail:
         return (topic in OF_UPDATES and version <= self.last) or (topic, version) in self._ahead
 
 
-def read_updates(messages: Iterable[LogMessage], after: int) -> Iterator[LoggedUpdate]:
+def read_updates(messages: Iterable[LogMessage], after: int, staleness: int = 0) -> Iterator[LoggedUpdate]:
     """The updates to versions beyond `after` out of `/rollout` and `/update` messages.
+
+    Args:
+        staleness: versions that a rollout may lie behind the policy that it updates.
 
     Raises:
         LogReadError: an update names a rollout that is not before it.
@@ -83,7 +86,7 @@ def read_updates(messages: Iterable[LogMessage], after: int) -> Iterator[LoggedU
     for message in messages:
         if message.topic == "/rollout":
             rollout = Rollout.decode(message.data)
-            if rollout.policy_version >= after:
+            if rollout.policy_version >= after - staleness:
                 waiting[rollout.place] = rollout
             continue
         update = message.json()
@@ -96,6 +99,9 @@ def read_updates(messages: Iterable[LogMessage], after: int) -> Iterator[LoggedU
                 "the log before it; restore the log from a copy"
             )
         yield LoggedUpdate(update["version"], update["state_digest"], [waiting.pop(place) for place in places])
+        for place, rollout in list(waiting.items()):
+            if rollout.policy_version < update["version"] - staleness:
+                del waiting[place]  # no update can use it any more
 
 
 def place_of(used: dict[str, int]) -> Place:

@@ -129,7 +129,9 @@ def test_digits_are_exact(seed: int) -> None:
         ({"rkhs": {"momentum": 1.0}}, "less than 1"),
         ({"rkhs": {"bandwidth": 0}}, "greater than 0"),
         ({"log": {"compression": "zstd"}}, "'none' or 'lz4'"),
-        ({"mode": "async"}, "'sync'"),
+        ({"mode": "fast"}, "'sync' or 'async'"),
+        ({"mode": "async", "max_staleness": 5}, "less than or equal to 4"),
+        ({"max_staleness": -1}, "greater than or equal to 0"),
         ({"evaluation": {"episodes": -1}}, "greater than or equal to 0"),
     ],
 )
@@ -283,3 +285,10 @@ def test_settings_that_are_none(text: str) -> None:
     """Whatever another release of the learner sends, there is a sentence."""
     with pytest.raises(SettingsError):
         parse_json(text)
+
+
+def test_staleness_is_a_matter_of_async_mode() -> None:
+    """In sync mode no rollout is ever stale, whatever bound is given."""
+    assert RunSettings.model_validate({"max_staleness": 3}).staleness == 0
+    assert RunSettings.model_validate({"mode": "async"}).staleness == 1
+    assert RunSettings.model_validate({"mode": "async", "max_staleness": 3}).staleness == 3

@@ -122,6 +122,14 @@ class Learner:
         self.session.close()
         self.log.close()
 
+    def until(self, there: Callable[[], bool]) -> None:
+        """Wait for something to become true; orders are repeated until it is."""
+        deadline = time.monotonic() + DEADLINE_S
+        while not there():
+            assert time.monotonic() < deadline, self.hub.waiting_for()
+            self.hub.announce()
+            time.sleep(0.02)
+
     def batch(self) -> list[float]:
         """The versions that the rollouts of the batch tell; orders are repeated until it is complete."""
         deadline = time.monotonic() + DEADLINE_S
@@ -159,6 +167,25 @@ def actors(endpoint: str, stand_in: type[StandIn]) -> Iterator[Callable[..., Fut
         start.stop, start.said = stop, said  # type: ignore[attr-defined]
         yield start
         stop.set()
+
+
+def test_in_async_mode_an_actor_works_on(
+    learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn]
+) -> None:
+    """It makes what the bound allows without waiting for the next version, and takes the newest for what comes then."""
+    learner = learners(actors=1, num_envs=2, mode="async", max_staleness=2)
+    done = actors()
+    learner.until(lambda: learner.hub.report().totals.accepted == 3)
+    assert stand_in.made == [(Place(0, 0), seq, 0.0) for seq in range(3)]
+    assert learner.batch() == [0.0]
+    for version in (1, 2, 3):
+        learner.hub.begin(snapshot(version))
+        learner.until(lambda version=version: learner.hub.report().totals.accepted == 3 + version)
+        assert learner.batch() == [max(0.0, version - 2)]
+    assert stand_in.made[3:] == [(Place(0, 0), 2 + version, float(version)) for version in (1, 2, 3)]
+    learner.hub.finish()
+    assert done.result(DEADLINE_S) == 0
+    assert learner.hub.refusals() == {}
 
 
 def test_an_actor_does_what_is_asked(learners: Callable[..., Learner], actors: Any, stand_in: type[StandIn]) -> None:

@@ -7,7 +7,8 @@ from samples import RUN, heartbeat, rollout
 
 from common.errors import RefusedError
 from common.wire.messages import Orders, Rollout
-from services.learner.fleet import ACCEPTED, Fleet
+from services.learner.fleet import Fleet
+from services.learner.slots import ACCEPTED
 
 
 def make_fleet(slots: int, *incarnations: str) -> Fleet:
@@ -163,12 +164,21 @@ def test_the_order_of_a_batch_is_slot_then_generation_then_seq() -> None:
     fleet.lose("c")
     fleet.lose("d")
     returned(fleet, 1, "b")
-    for made in (rollout(1, "b", 0), rollout(1, "b", 1), rollout(0, "a", 0)):
+    for made in (rollout(1, "b", 0, generation=1), rollout(1, "b", 1, generation=1), rollout(0, "a", 0)):
         push(fleet, made)
     taken = fleet.take()
     assert taken is not None
     # (slot, generation, seq): a = (0, 0, 0), z = (1, 0, 0), b = (1, 1, 0) and (1, 1, 1)
     assert [(r.incarnation, r.seq) for r in taken] == [("a", 0), ("z", 0), ("b", 0), ("b", 1)]
+
+
+def test_the_generation_is_the_one_that_was_given() -> None:
+    """Environments of another life of the slot are no part of this one's place in the batch."""
+    fleet = make_fleet(1, "a")
+    answer = fleet.admit(rollout(0, "a", generation=1))
+    assert answer is not None
+    assert (answer.status, answer.reason) == ("refused", "generation: 'a' has generation 0, not 1")
+    assert fleet.counts.refused == {"generation": 1}
 
 
 def test_stale_rollouts_are_refused_and_counted() -> None:

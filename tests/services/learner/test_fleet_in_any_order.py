@@ -18,8 +18,10 @@ BLANK = rollout()
 STATES = ("compiling", "waiting", "collecting", "pushing", "evaluating")
 
 
-def numbered(slot: int, incarnation: str, seq: int, version: int) -> Rollout:
-    return dataclasses.replace(BLANK, slot=slot, incarnation=incarnation, seq=seq, policy_version=version)
+def numbered(slot: int, incarnation: str, seq: int, version: int, generation: int) -> Rollout:
+    return dataclasses.replace(
+        BLANK, slot=slot, incarnation=incarnation, seq=seq, policy_version=version, generation=generation
+    )
 
 
 def orders(fleet: Fleet) -> Orders:
@@ -46,6 +48,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
         self.present: dict[str, int] = {}
         self.gone: list[tuple[str, int]] = []
         self.admitted: dict[str, int] = {}
+        self.generation: dict[str, int] = {}
         self.made: dict[str, int] = {}
         self.under_way: list[Rollout] = []
         self.used: set[tuple[int, str, int]] = set()
@@ -62,6 +65,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
         assert slot.number == free[0]
         assert slot.member is not None
         assert slot.member.generation == self.given[slot.number]
+        self.generation[name] = self.given[slot.number]
         self.given[slot.number] += 1
         self.present[name] = slot.number
         self.admitted[name] = self.made[name] = 0
@@ -108,7 +112,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
         self.push(name, slot, max(0, self.admitted[name] + seq_off), max(0, self.version + version_off), logged)
 
     def push(self, name: str, slot: int, seq: int, version: int, logged: bool) -> None:
-        made = numbered(slot, name, seq, version)
+        made = numbered(slot, name, seq, version, self.generation[name])
         known = seq < self.admitted[name]
         waiting = [other.key for other in self.under_way]
         answer = self.fleet.admit(made)
@@ -156,7 +160,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
         assert set(collect) == set(self.present.values())
         for name, slot in self.present.items():
             while self.made[name] < collect[slot]:
-                made = numbered(slot, name, self.admitted[name], self.version)
+                made = numbered(slot, name, self.admitted[name], self.version, self.generation[name])
                 answer = self.fleet.admit(made)
                 if answer is not None:
                     assert answer.reason.startswith("surplus")

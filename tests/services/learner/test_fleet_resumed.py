@@ -8,8 +8,8 @@ import numpy as np
 from samples import RUN, heartbeat, rollout
 
 from common.wire.messages import Rollout
-from services.learner.fleet import ACCEPTED, Fleet
-from services.learner.slots import Start
+from services.learner.fleet import Fleet
+from services.learner.slots import ACCEPTED, Start
 
 STARTS = (Start(0, 5, b"environments of slot 0"), Start(2, 3, b"environments of slot 1"))
 

@@ -115,6 +115,42 @@ def test_ahead_of_the_log_the_one_before(tmp_path: Path) -> None:
     assert "not from checkpoint 00000006.ckpt: the log ends at update 5, before it" in found.notes
 
 
+def write_async_log(run_dir: Path, updates: int, *, segments: int) -> None:
+    """A log of so many updates of rollouts one version behind, of slot 0 alone; four more are in the queue."""
+    made = [rollout(0, "a", seq, max(0, seq // 2 - 1)) for seq in range(2 * updates + 4)]
+    share = updates // segments
+    for segment in range(segments):
+        with LogWriter(run_dir / "log", metadata=METADATA) as log:
+            for version in range(segment * share, (segment + 1) * share):
+                # Those of the next update come before this one: actors work on.
+                for one in made[2 * version + 2 if version else 0 : 2 * version + 4]:
+                    log.write("/rollout", one.encode())
+                names = [{"slot": 0, "generation": 0, "seq": seq} for seq in (2 * version, 2 * version + 1)]
+                record = {"version": version + 1, "state_digest": snapshot(version + 1).digest, "rollouts": names}
+                log.write("/update", record)
+            if segment == segments - 1:
+                for one in made[2 * updates + 2 :]:
+                    log.write("/rollout", one.encode())
+
+
+@pytest.mark.parametrize("segments", [1, 7])
+def test_a_run_in_async_mode(tmp_path: Path, segments: int) -> None:
+    """It goes on from the newest state by its log: rollouts of versions before it, and those in the queue, are used.
+
+    Every slot begins with new environments, for what was made depended on the timing.
+    """
+    write_async_log(tmp_path, 7, segments=segments)
+    for version in (3, 6):
+        keep(tmp_path, version, environments=False)
+    found = resume_run(settings(mode="async"), tmp_path)
+    assert found is not None
+    assert found.version == 6
+    assert found.by_log == "in async mode what actors make depends on the timing, and cannot be made again"
+    assert found.starts == [Start(1), Start(0)]
+    assert [one.place for one in found.tail.rollouts(6)] == [(0, 0, 12), (0, 0, 13)]
+    assert [(one.seq, one.policy_version) for one in found.tail.rollouts(7)] == [(14, 6), (15, 6), (16, 7), (17, 7)]
+
+
 def damage(path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
