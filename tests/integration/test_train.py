@@ -143,6 +143,28 @@ def test_same_seed_same_bits(finished: Training, tmp_path: Path) -> None:
     assert again.summary["eval_return_mean"] == finished.summary["eval_return_mean"]
 
 
+def test_async_mode(tmp_path: Path) -> None:
+    """Actors work on while the learner updates: every update takes the next rollouts of the log, none older than the
+    bound, and the states follow from the log as in sync mode.
+    """
+    with small_run(tmp_path / "run", "--mode", "async", "--max-staleness", "2", updates=40) as training:
+        code, output = training.finish()
+    assert code == 0, output
+    updates = used_rollouts(training.run_dir)
+    assert len(updates) == 40
+    behind = [[version - rollout.policy_version for rollout in used] for version, used in enumerate(updates)]
+    assert all(0 <= number <= 2 for numbers in behind for number in numbers)
+    assert max(map(max, behind)) > 0
+    assert [update["staleness"] for update in training.updates()] == [
+        {"min": min(numbers), "mean": sum(numbers) / ACTORS, "max": max(numbers)} for numbers in behind
+    ]
+    logged = [Rollout.decode(message.data).key for message in LogReader(training.run_dir).messages(["/rollout"])]
+    for version, used in enumerate(updates):
+        assert {rollout.key for rollout in used} == set(logged[ACTORS * version : ACTORS * (version + 1)])
+        assert [rollout.place for rollout in used] == sorted(rollout.place for rollout in used)
+    assert replayed_digests(training.run_dir)[-1] == training.summary["state_digest"]
+
+
 def test_killed_actor_does_not_stop_a_run(tmp_path: Path) -> None:
     """With an actor killed midway the run completes, and every update still used whole rollouts of its version."""
     with small_run(tmp_path / "run", updates=400) as training:
