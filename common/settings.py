@@ -123,8 +123,7 @@ class RunSettings(Section):
     seed: Seed = 0
     """seed of networks, environments and sampling"""
     mode: Literal["sync", "async"] = "sync"
-    """sync: every update uses rollouts of the newest policy only, and a run can be repeated bit for bit; async: actors
-    work on while the learner updates"""
+    """sync: updates use rollouts of the newest policy only, bit for bit repeatable; async: actors work on meanwhile"""
     max_staleness: Staleness = 1
     """versions that a rollout may lie behind the policy that it updates; in mode sync none ever does"""
     run_dir: Path | None = None
