@@ -1,5 +1,7 @@
 """What the service costs: the same run in one process and as learner and actors, turn by turn, in fresh processes.
 
+In async mode the phases overlap, and what is learned from depends on the timing: only its speed can be compared.
+
     make bench
     python -m benchmarks.service --task humanoid --learner reskpn --actors 1 2 --repeats 3 --json result.json
 
@@ -24,6 +26,7 @@ from benchmarks.processes import run_json, run_module
 from common.errors import ReskpnError, SettingsError
 from common.log.reader import LogReader
 
+MODES = ("sync", "async")
 GOAL = 0.85
 """Share of one process's speed that the service with one actor is to reach."""
 
@@ -79,17 +82,20 @@ def one_process(plan: Plan) -> Sample:
     return Sample(result["env_steps_per_s"], result["seconds"], result["state_digest"])
 
 
-def service(plan: Plan, actors: int) -> Sample:
+def service(plan: Plan, actors: int, mode: str) -> Sample:
     """The run as `reskpn train` makes it, its log read afterwards."""
     with tempfile.TemporaryDirectory(prefix="reskpn-bench-") as folder:
         run_dir = Path(folder) / "run"
-        places = ["--actors", str(actors), "--run-dir", str(run_dir), "--evaluation.episodes", "0"]
+        places = ["--actors", str(actors), "--run-dir", str(run_dir), "--evaluation.episodes", "0", "--mode", mode]
         run_module("reskpn", ["train", *plan.settings, *places])
         digest = json.loads((run_dir / "summary.json").read_text())["state_digest"]
         updates = [(message.t_ns, message.json()) for message in LogReader(run_dir).messages(["/update"])]
     counted = [record["seconds"] for _, record in updates[plan.warm_up :]]
     update_s = (updates[-1][0] - updates[plan.warm_up - 1][0]) * NS / len(counted)
-    return Sample(plan.batch_size / update_s, phases(counted, update_s), digest)
+    seconds = phases(counted, update_s)
+    if mode == "async":
+        del seconds["transport"]  # what is left of an update without the others, if they came one after the other
+    return Sample(plan.batch_size / update_s, seconds, digest)
 
 
 def phases(records: Sequence[Mapping[str, float]], update_s: float) -> dict[str, float]:
@@ -109,20 +115,21 @@ def phases(records: Sequence[Mapping[str, float]], update_s: float) -> dict[str,
     return seconds | beside | {"update": update_s}
 
 
-def compare(plan: Plan, actors: Sequence[int], repeats: int) -> dict[str, list[Sample]]:
-    """Samples by side ("one process", "1 actor", ...), taken in turns."""
-    samples: dict[str, list[Sample]] = {side: [] for side in ("one process", *map(_name, actors))}
+def compare(plan: Plan, actors: Sequence[int], modes: Sequence[str], repeats: int) -> dict[str, list[Sample]]:
+    """Samples by side ("one process", "1 actor", "1 actor async", ...), taken in turns."""
+    sides = {_name(number, mode): (number, mode) for number in actors for mode in modes}
+    samples: dict[str, list[Sample]] = {side: [] for side in ("one process", *sides)}
     for turn in range(repeats):
         samples["one process"].append(one_process(plan))
-        for number in actors:
-            samples[_name(number)].append(service(plan, number))
+        for side, (number, mode) in sides.items():
+            samples[side].append(service(plan, number, mode))
         done = ", ".join(f"{side} {found[-1].env_steps_per_s:,.0f}" for side, found in samples.items())
         print(f"turn {turn + 1} of {repeats}: {done} steps/s", file=sys.stderr, flush=True)
     return samples
 
 
-def _name(actors: int) -> str:
-    return f"{actors} actor{'s' if actors > 1 else ''}"
+def _name(actors: int, mode: str) -> str:
+    return f"{actors} actor{'s' if actors > 1 else ''}{' async' if mode == 'async' else ''}"
 
 
 def ratios(samples: Mapping[str, Sequence[Sample]], side: str) -> list[float]:
@@ -132,10 +139,10 @@ def ratios(samples: Mapping[str, Sequence[Sample]], side: str) -> list[float]:
 
 
 def speed_table(samples: Mapping[str, Sequence[Sample]]) -> Iterator[str]:
-    yield f"{'':14}{'steps/s (median)':>18}{'ratio (median)':>16}  pair by pair"
+    yield f"{'':16}{'steps/s (median)':>18}{'ratio (median)':>16}  pair by pair"
     for side, found in samples.items():
         speed = statistics.median(sample.env_steps_per_s for sample in found)
-        line = f"{side:14}{speed:>18,.0f}"
+        line = f"{side:16}{speed:>18,.0f}"
         if side != "one process":
             pairs = ratios(samples, side)
             line += f"{statistics.median(pairs):>16.3f}  {' '.join(f'{ratio:.3f}' for ratio in pairs)}"
@@ -156,10 +163,10 @@ def phase_table(samples: Mapping[str, Sequence[Sample]]) -> Iterator[str]:
         cells = []
         for found in samples.values():
             values = [sample.seconds[name] for sample in found if name in sample.seconds]
-            cells.append(f"{1e3 * statistics.median(values):>13.1f}" if values else f"{'-':>13}")
+            cells.append(f"{1e3 * statistics.median(values):>16.1f}" if values else f"{'-':>16}")
         return f"{name:12}{''.join(cells)}  {text}"
 
-    yield f"{'ms an update':12}{''.join(f'{side:>13}' for side in samples)}"
+    yield f"{'ms an update':12}{''.join(f'{side:>16}' for side in samples)}"
     yield from (row(name, text) for name, text in PHASES.items())
     yield row("update", "all of the above")
     yield "beside those:"
@@ -174,7 +181,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     settings = [word for name in names for word in (f"--{name.replace('_', '-')}", str(getattr(given, name)))]
     settings += ["--total-steps", str(given.updates * batch_size), *further]
     try:
-        samples = compare(Plan(settings, batch_size, given.updates, given.warm_up), given.actors, given.repeats)
+        plan = Plan(settings, batch_size, given.updates, given.warm_up)
+        samples = compare(plan, given.actors, given.modes, given.repeats)
     except ReskpnError as error:
         print(f"service: {error}", file=sys.stderr)
         return error.exit_code
@@ -210,6 +218,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--actors", type=int, nargs="+", default=[1, 2], metavar="N", help="numbers of actors to measure"
     )
+    parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES, help="modes to measure with each number")
     parser.add_argument("--repeats", type=int, default=3, metavar="N", help="runs of each kind, in turns")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every sample there, too")
     return parser
