@@ -170,8 +170,15 @@ class Update:
         next_value = self._value(state, seen.mirrored)
         if not self.algorithm.bootstrap_at_truncation:
             next_value = jnp.where(mirror.truncated, 0.0, next_value)
-        next_value = jnp.where(mirror.terminated, 0.0, next_value)
-        advantage = reward + self.algorithm.gamma * next_value - taken.value
+        (advantage,) = returns.generalised_advantage(
+            reward[None],
+            taken.value[None],
+            next_value[None],
+            mirror.terminated[None],
+            mirror.truncated[None],
+            gamma=self.algorithm.gamma,
+            lambda_=self.algorithm.gae_lambda,
+        )
         # A Gaussian is as dense at the one action as at the other.
         return Pairs(taken, Samples(taken.observation, mirror.action, taken.log_prob, taken.value, advantage))
 
