@@ -25,6 +25,7 @@ from benchmarks.machine import describe, machine
 from common.errors import ReskpnError
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
+from common.memory import keep_large_blocks
 
 GOAL_SHARE = 0.03
 """Of one core, at 22 MB/s."""
@@ -103,6 +104,7 @@ def table(figures: Figures) -> Iterator[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(arguments)
+    keep_large_blocks()  # as a learner does
     found = machine()
     load = Load(given.rate, given.message, given.seconds)
     try:

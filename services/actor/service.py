@@ -11,6 +11,7 @@ import jax
 
 from common.errors import CodecError, PhysicsError, SessionError
 from common.maths.policy import Policy
+from common.memory import keep_large_blocks
 from common.physics.engines import resolve_physics
 from common.runtime import hardware, prepare_jax, software_versions
 from common.settings import TransportSettings
@@ -55,6 +56,7 @@ def run_actor(
     keep = state_keeper(state_file)
     keep("starting", NO_POLICY)
     prepare_jax()
+    keep_large_blocks()
     # A callback into the physics engine must not wait for a computation queued behind it.
     jax.config.update("jax_cpu_enable_async_dispatch", False)
     engine = resolve_physics(physics)

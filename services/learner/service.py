@@ -12,6 +12,7 @@ from typing import Any
 
 from common.errors import LogWriteError, ReskpnError, SettingsError
 from common.log.writer import LogWriter
+from common.memory import keep_large_blocks
 from common.physics.assets import model_xml
 from common.run_directory import SETTINGS, SUMMARY, prepare_run_dir, write_json
 from common.runtime import hardware, prepare_jax, software_versions, source_commit
@@ -43,6 +44,7 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
     began_s = time.monotonic()
     refuse_open_doors(settings)
     prepare_jax()
+    keep_large_blocks()
     with ExitStack() as stack:
         session = stack.enter_context(
             open_session(
