@@ -21,7 +21,7 @@ def test_growth_is_the_slope_after_the_first_fifth() -> None:
     assert (found.first, found.last, found.least, found.most, found.samples) == (100.0, 107.0, 100.0, 107.0, 8)
     assert found.an_hour == pytest.approx(360.0)
     with pytest.raises(ProcessError, match="give more --minutes"):
-        memory.growth(times[:3], [1.0, 2.0, 3.0])
+        memory.growth(times[:2], [1.0, 2.0])
 
 
 def test_services_are_found_among_the_children() -> None:
