@@ -1,5 +1,5 @@
-# One image for learner and actors. Both need JAX, MuJoCo and Zenoh, which are nearly all of its size: an image each
-# would be two names for the same layers.
+# One image for learner, actors and evaluators. All need JAX, MuJoCo and Zenoh, which are nearly all of its size: an image each
+# would be names for the same layers. TensorBoard's adds a thin layer to it.
 ARG BASE_IMAGE=python:3.11-slim-bookworm
 
 FROM ${BASE_IMAGE} AS build
@@ -20,7 +20,7 @@ COPY reskpn reskpn
 RUN tools/bin/pip wheel --no-deps --no-build-isolation --wheel-dir wheels . \
     && tools/bin/pip --python /opt/venv/bin/python install --no-deps --no-index --target /opt/reskpn wheels/*.whl
 
-FROM ${BASE_IMAGE}
+FROM ${BASE_IMAGE} AS service
 RUN useradd --uid 10001 --user-group --no-create-home --home-dir /data reskpn \
     && install -d -o reskpn -g reskpn /data /data/runs /cache
 COPY --from=build /opt/venv /opt/venv
@@ -33,3 +33,18 @@ USER reskpn
 WORKDIR /data
 ENTRYPOINT ["reskpn"]
 CMD ["--help"]
+
+FROM build AS build-tensorboard
+# Into a folder of its own, and only what is not in the environment already: the other layers are shared.
+RUN tools/bin/pip --python /opt/venv/bin/python install --require-hashes --prefix /opt/tensorboard \
+    -r requirements/tensorboard.txt
+
+FROM service AS tensorboard
+COPY --from=build-tensorboard /opt/tensorboard /opt/tensorboard
+ENV PYTHONPATH=/opt/tensorboard/lib/python3.11/site-packages
+EXPOSE 6006
+ENTRYPOINT ["python", "-m", "tensorboard.main"]
+CMD ["--logdir", "/data/runs", "--host", "0.0.0.0", "--port", "6006", "--reload_interval", "10"]
+
+# What a build without a target gives.
+FROM service

@@ -46,11 +46,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Residual Kernel Policy Network: kernel-policy reinforcement learning as a service.",
     )
     commands = parser.add_subparsers(
-        dest="command", required=True, metavar="{train,learner,actor,status,doctor,replay}"
+        dest="command", required=True, metavar="{train,learner,actor,evaluator,status,doctor,replay}"
     )
     _add_train(commands)
     _add_learner(commands)
     _add_actor(commands)
+    _add_evaluator(commands)
     _add_status(commands)
     _add_doctor(commands)
     _add_replay(commands)
@@ -129,10 +130,9 @@ def _add_actor(commands: Any) -> None:
         from services.actor.service import run_actor
 
         base = load(config=given.config)
-        transport = base.transport.model_dump() | ({"endpoint": given.endpoint} if given.endpoint else {})
         with stopping(supervised=given.supervised) as stop:
             return run_actor(
-                TransportSettings.model_validate(transport),
+                _transport(base, given.endpoint),
                 physics=given.physics or base.physics,
                 run=given.run,
                 threads=given.threads,
@@ -146,9 +146,14 @@ def _add_actor(commands: Any) -> None:
     text = "collect experience for a learner, from this machine or another"
     epilog = f"The environment's {PREFIX}TRANSPORT__ENDPOINT and {PREFIX}PHYSICS count as well.\n\n{EXIT_CODES}"
     parser = _command(commands, "actor", text, call, epilog)
+    _add_following(parser, "work for", "actor")
+
+
+def _add_following(parser: argparse.ArgumentParser, verb: str, service: str) -> None:
+    """The options of whoever connects to a learner and needs its own copy of the environments."""
     parser.add_argument("--endpoint", metavar="ADDRESS", help="where the learner listens, tcp/HOST:PORT")
     parser.add_argument("--physics", choices=PHYSICS, help="engine, where the run leaves it to the actor")
-    parser.add_argument("--run", default="", help="work for this run only (default: whichever the learner has)")
+    parser.add_argument("--run", default="", help=f"{verb} this run only (default: whichever the learner has)")
     parser.add_argument("--threads", type=int, default=0, help="threads of the native engine (default: one a core)")
     parser.add_argument(
         "--connect-timeout", type=float, metavar="S", help="give up when no learner answers in time (default: never)"
@@ -161,9 +166,43 @@ def _add_actor(commands: Any) -> None:
     )
     parser.add_argument("--config", metavar="FILE", help="YAML file of settings; its transport section is used")
     parser.add_argument(
-        "--state-file", type=Path, metavar="FILE", help="keep there what `python -m reskpn.health actor` reads"
+        "--state-file", type=Path, metavar="FILE", help=f"keep there what `python -m reskpn.health {service}` reads"
     )
     parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)
+
+
+def _transport(base: RunSettings, endpoint: str | None) -> TransportSettings:
+    return TransportSettings.model_validate(base.transport.model_dump() | ({"endpoint": endpoint} if endpoint else {}))
+
+
+def _add_evaluator(commands: Any) -> None:
+    def call(given: argparse.Namespace) -> int:
+        from reskpn.supervised import stopping
+        from services.evaluator.service import Work, run_evaluator
+
+        base = load(config=given.config)
+        physics = given.physics or base.physics
+        work = Work(given.every, given.episodes, given.positions, physics, given.threads)
+        with stopping(supervised=given.supervised) as stop:
+            return run_evaluator(
+                _transport(base, given.endpoint),
+                work,
+                run=given.run,
+                connect_timeout_s=given.connect_timeout,
+                rejoin_timeout_s=given.rejoin_timeout,
+                stop=stop,
+                say=lambda text: print(text, flush=True),
+                state_file=given.state_file,
+            )
+
+    text = "play a run's policies without exploration, again and again, beside the training"
+    epilog = f"The environment's {PREFIX}TRANSPORT__ENDPOINT and {PREFIX}PHYSICS count as well.\n\n{EXIT_CODES}"
+    parser = _command(commands, "evaluator", text, call, epilog)
+    add = parser.add_argument
+    add("--every", type=int, default=10, metavar="N", help="each version that N divides, or the newest (%(default)s)")
+    add("--episodes", type=int, default=16, metavar="N", help="episodes of each policy (default: %(default)s)")
+    add("--positions", type=int, default=200, metavar="N", help="steps whose joints are logged (default: %(default)s)")
+    _add_following(parser, "follow", "evaluator")
 
 
 def _add_status(commands: Any) -> None:

@@ -1,4 +1,4 @@
-"""`python -m reskpn.health learner | actor`: whether that service of this machine does its work.
+"""`python -m reskpn.health learner | actor | evaluator`: whether that service of this machine does its work.
 
 Run every few seconds beside the service, so it is no part of `reskpn`, whose settings alone take a second to load.
 """
@@ -40,21 +40,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print how the service is; returns 0 where it does its work, 1 where not, 2 for a file that is not an actor's."""
     parser = argparse.ArgumentParser(
         prog="python -m reskpn.health",
-        description="Say whether a learner answers those who want to join, or an actor has a policy to act with.",
+        description="Say whether a learner answers those who want to join, or an actor or evaluator has a policy.",
         epilog="exit codes: 0 it is so, 1 it is not, 2 what was given is not possible",
     )
     services = parser.add_subparsers(dest="service", required=True)
     learner = services.add_parser("learner")
     learner.add_argument("--endpoint", default="tcp/127.0.0.1:7447", metavar="ADDRESS", help="default: %(default)s")
     learner.add_argument("--timeout", type=float, default=5.0, metavar="S", help="how long to wait (%(default)s)")
-    actor = services.add_parser("actor")
-    actor.add_argument("--state-file", type=Path, required=True, metavar="FILE", help="as it was given to the actor")
+    for name in ("actor", "evaluator"):
+        follower = services.add_parser(name)
+        follower.add_argument("--state-file", type=Path, required=True, metavar="FILE", help="as it was given to it")
     given = parser.parse_args(arguments)
     try:
         if given.service == "learner":
             health = learner_health(given.endpoint, given.timeout)
         else:
-            health = actor_health(given.state_file)
+            health = follower_health(given.service, given.state_file)
     except ReskpnError as error:
         print(error, file=sys.stderr)
         return error.exit_code
@@ -75,23 +76,23 @@ def learner_health(endpoint: str, timeout_s: float) -> Health:
     return Health(True, f"the learner answers joins for run {reply.run}")
 
 
-def actor_health(state_file: Path) -> Health:
-    """Whether the actor that keeps this file has a policy to act with, or stands by for a slot.
+def follower_health(service: str, state_file: Path) -> Health:
+    """Whether the actor or evaluator that keeps this file has a policy, or stands by for a slot.
 
     Raises:
-        SettingsError: the file is not an actor's.
+        SettingsError: the file is not one that such a service keeps.
     """
     found = read_state(state_file)
     if found is None:
-        return Health(False, f"no actor has written {state_file} yet")
+        return Health(False, f"no {service} has written {state_file} yet")
     age_s = time.time() - found.time_s
     if age_s > OLD_S:
-        return Health(False, f"the actor gave its last sign of life {age_s:.0f} s ago ({found.state})")
+        return Health(False, f"the {service} gave its last sign of life {age_s:.0f} s ago ({found.state})")
     if found.state == "standing by":
-        return Health(True, "the actor stands by: all slots are taken")
+        return Health(True, f"the {service} stands by: all slots are taken")
     if found.version < 0:
-        return Health(False, f"the actor has no policy yet ({found.state})")
-    return Health(True, f"the actor has policy {found.version} ({found.state})")
+        return Health(False, f"the {service} has no policy yet ({found.state})")
+    return Health(True, f"the {service} has policy {found.version} ({found.state})")
 
 
 def _ask(session: Session, deadline: float) -> JoinReply:

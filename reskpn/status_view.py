@@ -59,6 +59,8 @@ def tail(report: RunReport) -> list[str]:
         f"rollouts: {totals.accepted:,} accepted, {totals.refused:,} refused, {totals.busy:,} busy, "
         f"{totals.repeated:,} repeated; actors: {totals.joined:,} joined, {totals.lost:,} lost"
     ]
+    if (evaluated := _evaluated(report)) is not None:
+        lines.insert(0, evaluated)
     if report.refusals:
         kinds = (f"{printable(kind)} {_counts(counts)}" for kind, counts in sorted(report.refusals.items()))
         lines.append(f"not used: {'; '.join(kinds)}")
@@ -68,6 +70,18 @@ def tail(report: RunReport) -> list[str]:
         text = printable(f"last, {duration(last.ago_s)} ago: {last.kind} {last.reason}: {last.text}", 400)
         lines.append(text)
     return lines
+
+
+def _evaluated(report: RunReport) -> str | None:
+    """The newest evaluation of an evaluator; None where there is neither."""
+    found, here = report.evaluation, f"{report.evaluators:,} evaluator{'' if report.evaluators == 1 else 's'}"
+    if found is None:
+        return f"evaluation: none yet; {here}" if report.evaluators else None
+    behind = f" (-{found.behind:,})" if found.behind > 0 else ""
+    return (
+        f"evaluation: policy {found.version}{behind}: return {number(found.return_mean, 1)} ± "
+        f"{number(found.return_std, 1)} over {found.episodes:,} episodes, {duration(found.ago_s)} ago; {here}"
+    )
 
 
 def _table(report: RunReport) -> Table:

@@ -29,8 +29,14 @@ HEAD = """\
 # RESKPN_ACTORS=4
 # RESKPN_SLOT_WAIT_S=15
 
-# Threads of each actor's physics, and seconds after which an actor that finds no learner gives up.
+# Evaluators (0 for none), the versions they play (every tenth) and the episodes of each.
+# EVALUATOR_REPLICAS=1
+# EVALUATOR_EVERY=10
+# EVALUATOR_EPISODES=16
+
+# Threads of each one's physics, and seconds after which an actor or evaluator that finds no learner gives up.
 # ACTOR_THREADS=1
+# EVALUATOR_THREADS=1
 # ACTOR_CONNECT_TIMEOUT_S=60
 # ACTOR_REJOIN_TIMEOUT_S=300
 
@@ -39,6 +45,13 @@ HEAD = """\
 # LEARNER_MEMORY=0
 # ACTOR_CPUS=0
 # ACTOR_MEMORY=0
+# EVALUATOR_CPUS=0
+# EVALUATOR_MEMORY=0
+# TENSORBOARD_CPUS=0
+# TENSORBOARD_MEMORY=0
+
+# Of `docker compose --profile tensorboard up`: the port of this machine, on 127.0.0.1, that shows the curves.
+# TENSORBOARD_PORT=6006
 
 # Where runs are kept: a volume, or a folder of this machine (./runs), which user 10001 must be able to write.
 # RUNS=runs
@@ -46,6 +59,7 @@ HEAD = """\
 # The image that is built, and the one it is built on.
 # IMAGE=reskpn:cpu
 # GPU_IMAGE=reskpn:cuda
+# TENSORBOARD_IMAGE=reskpn:tensorboard
 # BASE_IMAGE=python:3.11-slim-bookworm
 
 # Settings of the run, with their defaults; docs/settings.md explains them at more length.

@@ -12,6 +12,7 @@ import yaml
 
 from common.settings import RunSettings
 from common.settings_sources import load
+from reskpn import cli
 from scripts import document_environment
 from scripts.document_environment import EXAMPLE, OWN, PASSED_ON, example, passed_on
 
@@ -65,7 +66,7 @@ def test_the_example_names_every_variable_of_the_file() -> None:
     assert used <= shown
 
 
-@pytest.mark.parametrize("service", ["learner", "actor"])
+@pytest.mark.parametrize("service", ["learner", "actor", "evaluator"])
 def test_what_the_file_sets_is_possible(compose: dict[str, Any], service: str) -> None:
     """The settings it gives are accepted; they leave its network closed."""
     given = {name: filled(value) for name, value in compose["services"][service]["environment"].items()}
@@ -75,6 +76,50 @@ def test_what_the_file_sets_is_possible(compose: dict[str, Any], service: str) -
     assert set(given) == OWN
     assert compose["networks"]["default"]["internal"] is True
     assert "ports" not in compose["services"][service]
+
+
+def test_tensorboard_sees_the_runs_and_nothing_else(compose: dict[str, Any]) -> None:
+    """It is started when asked for, reads the volume that the learner writes, and is on no network of the others."""
+    service = compose["services"]["tensorboard"]
+    assert service["profiles"] == ["tensorboard"]
+    (runs,) = service["volumes"]
+    assert runs == f"{compose['services']['learner']['volumes'][0]}:ro"
+    assert service["networks"] == ["viewers"]
+    assert all("networks" not in compose["services"][name] for name in ("learner", "actor", "evaluator"))
+    assert [filled(port) for port in service["ports"]] == ["127.0.0.1:6006:6006"]
+    assert service["read_only"] is True
+
+
+def test_commands_are_those_there_are(compose: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the options that they are given: parsed as in the container, up to the work itself."""
+    called: list[str] = []
+    monkeypatch.setattr("services.learner.service.run_learner", lambda *_, **__: called.append("learner") or 0)
+    monkeypatch.setattr("services.actor.service.run_actor", lambda *_, **__: called.append("actor") or 0)
+    monkeypatch.setattr("services.evaluator.service.run_evaluator", lambda *_, **__: called.append("evaluator") or 0)
+    monkeypatch.setattr("reskpn.cli.run_to_resume", lambda _: None)
+    for service in ("learner", "actor", "evaluator"):
+        words = [filled(word) for word in compose["services"][service]["command"]]
+        assert cli.main(words) == 0
+    assert called == ["learner", "actor", "evaluator"]
+
+
+@pytest.mark.parametrize("service", ["learner", "actor", "evaluator"])
+def test_checks_are_of_the_file_that_is_kept(compose: dict[str, Any], service: str) -> None:
+    """The health check's options are possible, and its state file is the one that the service is told to keep."""
+    check = compose["services"][service]["healthcheck"]["test"]
+    assert check[:5] == ["CMD", "python", "-m", "reskpn.health", service]
+    command = compose["services"][service]["command"]
+    if "--state-file" in command:
+        assert check[5:] == ["--state-file", command[command.index("--state-file") + 1]]
+
+
+def test_every_target_is_a_stage(compose: dict[str, Any]) -> None:
+    """Of the one Dockerfile, whose last stage is that of the services."""
+    stages = [line.split() for line in (ROOT / "Dockerfile").read_text().splitlines() if line.startswith("FROM ")]
+    names = {words[3] for words in stages if len(words) == 4}
+    assert {service["build"]["target"] for service in compose["services"].values()} == {"service", "tensorboard"}
+    assert {"service", "tensorboard"} <= names
+    assert stages[-1] == ["FROM", "service"]
 
 
 def test_the_image_is_made_of_what_the_build_may_see() -> None:

@@ -27,6 +27,7 @@ from common.rollout_shape import rollout_shape
 from common.settings import RunSettings
 from common.settings_sources import parse_json
 from common.tasks import TASKS
+from common.wire.assessment import Assessment
 from common.wire.keys import JOIN, STATUS, Keys
 from common.wire.messages import (
     Environment,
@@ -50,6 +51,7 @@ KEYS = Keys(RUN)
 DEADLINE_S = 30.0
 ROUND = 40
 EPISODES = 2
+EVALUATOR = "evaluator-1"
 
 SETTINGS = RunSettings.model_validate(
     {
@@ -105,6 +107,7 @@ class Siege:
     answers: Counter[str] = field(default_factory=Counter)
     joined: int = 0
     turned_away: int = 0
+    assessed: set[int] = field(default_factory=set)
     version: int = 0
     names: list[str] = field(default_factory=list)
     generations: dict[str, int] = field(default_factory=dict)
@@ -119,11 +122,13 @@ class Siege:
         self.hub.open()
         self.hub.publish_status(STATUS_NOW)
         self.hub.ask_for_evaluation(EPISODES)
+        self._join_evaluator()
         self._mutator = Mutator(self.seed, self._good())
         self._attacks: dict[str, Callable[[bytes], None]] = {
             "rollout": self._attack_rollout,
             "environment": self._attack_environment,
             "evaluation": self._attack_evaluation,
+            "assessment": self._attack_assessment,
             "join": self._attack_join,
             "heartbeat": self._attack_heartbeat,
             "alive": self._attack_alive,
@@ -174,6 +179,13 @@ class Siege:
         self.hub.begin(_snapshot(self.version))
         self._mutator.messages = self._good()
 
+    def _join_evaluator(self) -> None:
+        """It stays for the whole siege, and has no slot."""
+        question = Join("", "evaluator", EVALUATOR, {}, {}, "native")
+        reply = JoinReply.decode(self._ask(JOIN, question.encode()))
+        assert reply.accepted
+        self._doors.watched[KEYS.all_alive](KEYS.alive("evaluator", EVALUATOR), True)
+
     def _strangers(self) -> list[str]:
         """Whoever a mutated message let in, by the learner's own account."""
         return [actor.incarnation for actor in self.hub.report().actors if actor.incarnation not in self.names]
@@ -187,6 +199,7 @@ class Siege:
             "rollout": self._rollout(slot, name, 1).encode(),
             "environment": _environment(slot, name, self.version).encode(),
             "evaluation": Evaluation(RUN, slot, name, self.version, returns, lengths).encode(),
+            "assessment": _assessment(self.version).encode(),
             "join": _join(f"stranger-{self.version}").encode(),
             "heartbeat": _heartbeat(slot, name).encode(),
             "orders": Orders(RUN, self.version, "d", 99, {0: 2, 1: 1}, {1: 2}, False, 5).encode(),
@@ -240,6 +253,13 @@ class Siege:
         reply = PushReply.decode(self._ask(key, data, KEYS.evaluations))
         if reply.status == "refused":
             self._count("evaluation", reply.reason.partition(":")[0])
+
+    def _attack_assessment(self, data: bytes) -> None:
+        reply = PushReply.decode(self._ask(KEYS.assessment(EVALUATOR), data, KEYS.assessments))
+        if reply.status == "refused":
+            self._count("assessment", reply.reason.partition(":")[0])
+        else:
+            self.assessed.add(Assessment.decode(data).version)
 
     def _attack_join(self, data: bytes) -> None:
         reply = JoinReply.decode(self._ask(JOIN, data))
@@ -312,9 +332,13 @@ class Siege:
             Rollout.decode(message.data).check(SHAPE)
             logged += 1
         assert logged == totals.accepted
+        evaluations = [message.json() for message in LogReader(self.directory).messages({"/eval"})]
+        assert sorted(record["version"] for record in evaluations) == sorted(self.assessed)
+        assert {record["source"] for record in evaluations} == {EVALUATOR}
+        assert (report.evaluators, len(report.actors)) == (1, len(self.names) + len(self._strangers()))
 
 
-HUB_KINDS = ("rollout", "environment", "evaluation", "join", "heartbeat", "alive")
+HUB_KINDS = ("rollout", "environment", "evaluation", "assessment", "join", "heartbeat", "alive")
 
 STATUS_NOW = Status(
     phase="training", text="", version=0, updates=10, env_steps=0, total_steps=800, steps_per_s=None,
@@ -363,6 +387,11 @@ def _heartbeat(slot: int, incarnation: str) -> Heartbeat:
 def _environment(slot: int, incarnation: str, version: int) -> Environment:
     arrays = {"obs": np.full((4, 3), version, np.float32), "steps": np.arange(4, dtype=np.int32)}
     return Environment(RUN, slot, incarnation, 0, 1, version, digest_arrays(arrays), arrays)
+
+
+def _assessment(version: int) -> Assessment:
+    returns, lengths = np.float32([10, 30]), np.int32([5, 7])
+    return Assessment(RUN, EVALUATOR, version, returns, lengths, np.ones((4, 2), np.float32), 0.04)
 
 
 def _snapshot(version: int) -> Snapshot:

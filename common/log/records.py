@@ -127,12 +127,32 @@ _EVENT = _object(
 )
 
 _EVAL = _object(
-    "Episodes of a published policy without exploration.",
+    "Episodes of a published policy without exploration. A version may be there more than once.",
     version=_integer("version of the policy"),
+    env_steps=_integer("environment steps that the version was trained with"),
     episodes=_integer("episodes"),
     return_mean=_number("mean return"),
     return_std=_number("standard deviation of the return"),
+    return_min=_number("least return"),
+    return_max=_number("greatest return"),
     length_mean=_number("mean length in steps"),
+    length_std=_number("standard deviation of the length"),
+    source=_string("run for the run's own evaluation at its end, else the evaluator's incarnation"),
+    behind=_integer("versions published after this one when the evaluation came in"),
+)
+
+_TRAJECTORY = _object(
+    "The beginning of the first episode of an evaluation.",
+    version=_integer("version of the policy"),
+    source=_string("as in /eval"),
+    steps=_array(
+        "the steps in their order",
+        _object(
+            "The state before one step.",
+            time_s=_number("simulated seconds since the start of the episode"),
+            qpos=_array("positions of the joints", _number("one coordinate, as MuJoCo orders them")),
+        ),
+    ),
 )
 
 CHANNELS: dict[str, ChannelSpec] = {
@@ -146,6 +166,7 @@ CHANNELS: dict[str, ChannelSpec] = {
         ChannelSpec("/episode", "json", _EPISODE),
         ChannelSpec("/event", "json", _EVENT),
         ChannelSpec("/eval", "json", _EVAL),
+        ChannelSpec("/trajectory", "json", _TRAJECTORY),
     )
 }
 """Every channel by topic, in the order in which a segment declares them."""

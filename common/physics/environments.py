@@ -84,6 +84,7 @@ class BatchedEnvironment:
         self.num_envs = num_envs
         self.physics = engine.name
         self.action_size = int(task.action_size)
+        self.step_s = float(task.dt)
         self.observation_size = int(jax.eval_shape(task.reset, jax.random.key(0)).obs.shape[-1])
         self._reset, self._step = jax.jit(self._reset_all), jax.jit(self._step_all)
 

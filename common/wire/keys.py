@@ -5,6 +5,7 @@ reskpn/v1/status                        asked by whoever watches: the run and it
 reskpn/v1/<run>/rollout/<slot>          query push of rollouts
                /evaluation/<slot>       query push of evaluations
                /environment/<slot>      query push of environment states; asked with nothing, the one to go on from
+               /assessment/<id>         query push of what an evaluator found
                /policy/notify           what the learner wants now, and the newest version
                /policy/latest           the newest snapshot, asked for
                /heartbeat/<slot>
@@ -55,6 +56,9 @@ class Keys:
     def environment(self, slot: int) -> str:
         return f"{self._base}/environment/{_slot(slot)}"
 
+    def assessment(self, identity: str) -> str:
+        return f"{self._base}/assessment/{_chunk('id', identity)}"
+
     def heartbeat(self, slot: int) -> str:
         return f"{self._base}/heartbeat/{_slot(slot)}"
 
@@ -75,6 +79,11 @@ class Keys:
     def environments(self) -> str:
         """Wildcard: `environment` of every slot."""
         return f"{self._base}/environment/*"
+
+    @property
+    def assessments(self) -> str:
+        """Wildcard: `assessment` of every id."""
+        return f"{self._base}/assessment/*"
 
     @property
     def heartbeats(self) -> str:

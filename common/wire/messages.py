@@ -50,7 +50,7 @@ FINISHED = "finished"
 
 @dataclass(frozen=True)
 class Join(Message):
-    """May I work for you? `run` is "" where the asker takes any run."""
+    """May I work for you? `run` is "" where the asker takes any run. An evaluator is given the settings and no slot."""
 
     run: Annotated[str, text(80)]
     role: Annotated[Literal["actor", "evaluator"], one_of("actor", "evaluator")]
@@ -167,7 +167,7 @@ class Rollout(Message):
         require_shape("mirror_obs", self.mirror_obs, (shape.branches, obs))
         if both := np.count_nonzero(self.terminated & self.truncated):
             raise CodecError("bad_value", f"{both} steps that are both terminated and truncated; a step is at most one")
-        _check_episodes(self.episode_return, self.episode_length)
+        check_episodes(self.episode_return, self.episode_length)
         ended = np.count_nonzero(self.terminated | self.truncated)
         if self.episode_return.size > ended:
             raise CodecError(
@@ -281,7 +281,7 @@ class Evaluation(Message):
     def decode(cls, data: bytes, limits: Limits = LIMITS) -> Self:
         """As `Message.decode`; raises `bad_shape` for no episode or unequal lengths, `bad_value`, `not_finite`."""
         evaluation = super().decode(data, limits)
-        _check_episodes(evaluation.episode_return, evaluation.episode_length)
+        check_episodes(evaluation.episode_return, evaluation.episode_length)
         if evaluation.episode_return.size == 0:
             raise CodecError("bad_shape", "episode_return has no episode; expected at least one")
         return evaluation
@@ -309,7 +309,8 @@ def _check_digest(what: str, digest: str, arrays: Mapping[str, np.ndarray]) -> N
         raise CodecError("bad_digest", f"{what} says digest {digest!r}, but its arrays have {found!r}: fetch it again")
 
 
-def _check_episodes(returns: np.ndarray, lengths: np.ndarray) -> None:
+def check_episodes(returns: np.ndarray, lengths: np.ndarray) -> None:
+    """Raises `CodecError` unless there are as many lengths as returns, each finite, each of a step or more."""
     require_shape("episode_length", lengths, returns.shape)
     require_finite("episode_return", returns)
     if lengths.min(initial=1) < 1:

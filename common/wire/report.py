@@ -94,6 +94,22 @@ class Progress(_Part):
     """Seconds since the learner's loop last told this."""
 
 
+class EvaluationReport(_Part):
+    """The newest evaluation that an evaluator brought. Returns are of deterministic episodes."""
+
+    version: int
+    env_steps: int
+    episodes: int
+    return_mean: Number
+    return_std: Number
+    length_mean: Number
+    source: Line
+    """The evaluator's incarnation."""
+    behind: int
+    """Versions published after this one by now."""
+    ago_s: Number
+
+
 class RunReport(_Part):
     """The run at one moment."""
 
@@ -117,6 +133,9 @@ class RunReport(_Part):
     turned_away: dict[str, int]
     """Actors that asked to join and got no slot, by reason; one that stands by asks again and again."""
     last_refusal: RefusalReport | None
+    evaluators: int = 0
+    """Evaluators that are here."""
+    evaluation: EvaluationReport | None = None
 
     def encode(self) -> bytes:
         return self.model_dump_json().encode()

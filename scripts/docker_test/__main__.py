@@ -16,6 +16,7 @@ from scripts.docker_test.project import build, project
 from scripts.docker_test.story import ENVS, SETTINGS, STEPS, Story
 
 IMAGE = "reskpn:test"
+TENSORBOARD_IMAGE = "reskpn:test-tensorboard"
 SHORT = {"RESKPN_TOTAL_STEPS": str(20 * ENVS * STEPS), "RESKPN_ACTORS": "2"}
 
 
@@ -27,8 +28,9 @@ def main() -> int:
 
     try:
         with some_engine() as engine:
-            say("an engine answers; building the image")
+            say("an engine answers; building the images")
             build(engine, IMAGE)
+            build(engine, TENSORBOARD_IMAGE, "tensorboard")
             say("built")
             passed, failed = _all_checks(engine, say)
     except CannotRun as error:
@@ -41,7 +43,8 @@ def main() -> int:
 def _all_checks(engine: Engine, say: Callable[[str], None]) -> tuple[int, int]:
     """How many passed and failed; after a failure the steps that follow it are left out."""
     name = f"reskpn-test-{secrets.token_hex(3)}"
-    with project(engine, name, IMAGE=IMAGE, **SETTINGS) as made:
+    images = {"IMAGE": IMAGE, "TENSORBOARD_IMAGE": TENSORBOARD_IMAGE}
+    with project(engine, name, **images, **SETTINGS) as made:
         story = Story(made)
         steps = story.steps() | {"up in the foreground ends with exit code 0": lambda: _plain_up(engine, name)}
         for passed, (what, step) in enumerate(steps.items()):
@@ -53,8 +56,9 @@ def _all_checks(engine: Engine, say: Callable[[str], None]) -> tuple[int, int]:
                 say(made.last_words(lines=30))
                 return passed, 1
             say(f"ok: {what}")
-        size = int(made.docker("image", "inspect", "-f", "{{.Size}}", IMAGE))
-        say(f"image {size / 1e9:.2f} GB; first update {story.first_update_s:.1f} s after up, with an empty cache")
+        sizes = [int(made.docker("image", "inspect", "-f", "{{.Size}}", image)) for image in images.values()]
+        say(f"image {sizes[0] / 1e9:.2f} GB, with TensorBoard {(sizes[1] - sizes[0]) / 1e6:.0f} MB more")
+        say(f"first update {story.first_update_s:.1f} s after up, with an empty cache")
         say(f"the learner's crash cost {story.lost_s:.1f} s until the next new update")
     return len(steps), 0
 

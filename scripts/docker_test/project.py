@@ -16,6 +16,7 @@ from scripts.docker_test.engine import Engine, run
 
 ROOT = Path(__file__).parent.parent.parent
 POLL_S = 0.25
+SERVICES = ("learner", "actor", "evaluator")
 UPDATE = re.compile(r"update (\d+)/\d+")
 
 
@@ -60,8 +61,8 @@ class Project:
         return max((int(found) for found in UPDATE.findall(self.learner_words())), default=0)
 
     def running(self) -> list[str]:
-        both = [*self.containers("learner"), *self.containers("actor")]
-        return [container for container in both if self.state(container)["Status"] in ("running", "restarting")]
+        everyone = [container for service in SERVICES for container in self.containers(service)]
+        return [container for container in everyone if self.state(container)["Status"] in ("running", "restarting")]
 
     def wait_for(self, what: str, condition: Callable[[], object], deadline_s: float = 300.0) -> None:
         """Until the condition holds. AssertionError after the time, with what the containers say."""
@@ -72,18 +73,19 @@ class Project:
 
     def last_words(self, lines: int = 8) -> str:
         parts = []
-        for service in ("learner", "actor"):
+        for service in SERVICES:
             for container in self.containers(service):
                 last = "\n".join(f"  {line}" for line in self.words(container).splitlines()[-lines:])
                 parts.append(f"{service} {container[:12]} {self.state(container)['Status']}:\n{last}")
         return "\n".join(parts)
 
 
-def build(engine: Engine, image: str) -> None:
-    """The image as docker-compose.yml names its base; with the host's network, for the build alone downloads."""
+def build(engine: Engine, image: str, target: str = "service") -> None:
+    """An image as docker-compose.yml names its base; with the host's network, for the build alone downloads."""
     base = engine.environment.get("BASE_IMAGE")
     arguments = ["--build-arg", f"BASE_IMAGE={base}"] if base else []
-    run(["docker", "build", "--network=host", *arguments, "-t", image, str(ROOT)], engine.environment, timeout_s=3000.0)
+    command = ["docker", "build", "--network=host", *arguments, "--target", target, "-t", image, str(ROOT)]
+    run(command, engine.environment, timeout_s=3000.0)
 
 
 @contextmanager
@@ -95,7 +97,17 @@ def project(engine: Engine, name: str, **settings: str) -> Iterator[Project]:
         yield made
     finally:
         subprocess.run(
-            [*engine.compose, "-f", str(ROOT / "docker-compose.yml"), "down", "-v", "-t", "2"],
+            [
+                *engine.compose,
+                "-f",
+                str(ROOT / "docker-compose.yml"),
+                "--profile",
+                "tensorboard",
+                "down",
+                "-v",
+                "-t",
+                "2",
+            ],
             env=made.environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -1,7 +1,7 @@
 """What is done to one run in containers, step by step, and what must come of it.
 
 Three slots and two actors; one actor is killed, the fleet is scaled to three, one process crashes, then the
-learner does, and the run ends.
+learner does, and the run ends; an evaluator is beside it all the time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 
 from common.log.reader import LogReader
 from common.wire.messages import Rollout
-from scripts.docker_test.project import Project
+from scripts.docker_test.project import SERVICES, Project
 
 # Many small updates: they are to last longer than it takes an actor to load and compile, on any machine.
 SLOTS, UPDATES, ENVS, STEPS = 3, 3000, 12, 5
@@ -38,7 +38,13 @@ SETTINGS = {
     "RESKPN_EVALUATION__EPISODES": "8",
     "RESKPN_EPISODE_LENGTH": "50",
     "ACTOR_REPLICAS": "2",
+    "EVALUATOR_EVERY": "100",
+    "EVALUATOR_EPISODES": "4",
 }
+ASK_FOR_TAGS = [
+    "python", "-c",
+    "import urllib.request as r; print(r.urlopen('http://127.0.0.1:6006/data/plugin/scalars/tags').read())",
+]  # fmt: skip
 JOINED = re.compile(r"slot (\d) \(generation (\d+)\): native on \S+, incarnation (\w+)")
 
 
@@ -57,7 +63,7 @@ class Story:
         """By what they show."""
         return {
             "first updates with two of three actors": self.first_updates,
-            "learner and two actors are healthy": self.two_actors_are_healthy,
+            "learner, two actors and the evaluator are healthy": self.all_are_healthy,
             "one actor killed, the other does its work": self.one_is_killed,
             "scaled to three during the run": self.scaled_to_three,
             "one process crashes and is started again": self.one_crashes,
@@ -65,6 +71,7 @@ class Story:
             "the run ends by itself, all with exit code 0": self.the_run_ends,
             "summary": self.the_summary,
             "log": self.the_log,
+            "evaluations, in the log and in TensorBoard": self.the_evaluations,
         }
 
     def first_updates(self) -> None:
@@ -75,9 +82,10 @@ class Story:
         assert len(self.project.containers("actor")) == 2
         assert "no actor after 20 s in slot 2: others do its work" in self.project.learner_words()
 
-    def two_actors_are_healthy(self) -> None:
-        """And the learner is: it answers joins, they have a policy."""
-        everyone = [*self.project.containers("learner"), *self.project.containers("actor")]
+    def all_are_healthy(self) -> None:
+        """The learner answers joins, the others have a policy."""
+        everyone = [one for service in SERVICES for one in self.project.containers(service)]
+        assert len(everyone) == 4
         self.project.wait_for("health", lambda: {self.project.health(one) for one in everyone} == {"healthy"})
 
     def one_is_killed(self) -> None:
@@ -122,8 +130,8 @@ class Story:
     def the_run_ends(self) -> None:
         """All by itself: every container stops, each with exit code 0, the summary in what the learner said."""
         self.project.wait_for("the end", lambda: not self.project.running(), deadline_s=1200.0)
-        learners, actors = self.project.containers("learner"), self.project.containers("actor")
-        codes = {one[:12]: self.project.state(one)["ExitCode"] for one in [*learners, *actors]}
+        everyone = [one for service in SERVICES for one in self.project.containers(service)]
+        codes = {one[:12]: self.project.state(one)["ExitCode"] for one in everyone}
         assert set(codes.values()) == {0}, f"{codes}\n{self.project.last_words()}"
         words = self.project.learner_words()
         assert "finished" in words
@@ -157,6 +165,16 @@ class Story:
         assert first == {0, 1}
         assert {used["slot"] for update in self.log.updates for used in update["rollouts"]} == {0, 1, 2}
 
+    def the_evaluations(self) -> None:
+        """By the evaluator, before the learner's crash and after it; TensorBoard has the curve of them."""
+        sources = {source for source, _ in self.log.evaluations if source != "run"}
+        assert len(sources) == 2, f"the evaluator joins each learner under a new name: {self.log.evaluations}"
+        assert ("run", UPDATES) in self.log.evaluations
+        self.project.compose("--profile", "tensorboard", "up", "-d", "--no-build", "--no-deps", "tensorboard")
+        (viewer,) = self.project.containers("tensorboard")
+        self.project.wait_for("TensorBoard", lambda: self.project.health(viewer) == "healthy")
+        self.project.wait_for("the curve", lambda: "eval/return" in self.project.docker("exec", viewer, *ASK_FOR_TAGS))
+
     @property
     def first_update_s(self) -> float:
         """Seconds from `up` to the first update's record in the log."""
@@ -174,6 +192,8 @@ class Logged:
     updates: list[dict[str, Any]]
     unlogged: int
     first_update_s: float
+    evaluations: list[tuple[str, int]]
+    """Source and version."""
 
     def used_by_life(self) -> dict[str, int]:
         """How many rollouts of each incarnation were used."""
@@ -187,8 +207,12 @@ class Logged:
 def read_log(run_dir: Path) -> Logged:
     updates: list[dict[str, Any]] = []
     seen: set[tuple[int, str, int]] = set()
+    evaluations: list[tuple[str, int]] = []
     unlogged, times_ns = 0, []
-    for message in LogReader(run_dir).messages(["/rollout", "/update"]):
+    for message in LogReader(run_dir).messages(["/rollout", "/update", "/eval"]):
+        if message.topic == "/eval":
+            evaluations.append((message.json()["source"], message.json()["version"]))
+            continue
         if message.topic == "/rollout":
             seen.add(Rollout.decode(message.data).key)
             continue
@@ -197,4 +221,4 @@ def read_log(run_dir: Path) -> Logged:
         named = {(used["slot"], used["incarnation"], used["seq"]) for used in updates[-1]["rollouts"]}
         unlogged += len(named - seen)
         seen -= named
-    return Logged(updates, unlogged, min(times_ns) / 1e9)
+    return Logged(updates, unlogged, min(times_ns) / 1e9, evaluations)

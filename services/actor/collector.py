@@ -25,7 +25,7 @@ from common.maths.rkhs.make import make_representation
 from common.maths.running import Moments
 from common.maths.state import initial_state
 from common.maths.trees import from_arrays, to_arrays
-from common.physics.environments import BatchedEnvironment, EnvState, make_environment
+from common.physics.environments import EnvState, make_environment
 from common.settings import RunSettings
 from common.tasks import TASKS
 
@@ -237,45 +237,6 @@ class Collector:
 
 def _choose(condition: Array, then: Tree, otherwise: Tree) -> Tree:
     return jax.tree.map(partial(jnp.where, condition), then, otherwise)
-
-
-def evaluate(
-    settings: RunSettings, reader: PolicyReader, policy: Policy, episodes: int, threads: int = 0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Returns and lengths of that many episodes with the deterministic policy, each from a start of its own.
-
-    The starts depend on the run's seed alone, so two policies of a run are judged on the same ones.
-    """
-    environment = make_environment(
-        settings.task,
-        settings.physics,
-        num_envs=episodes,
-        episode_length=settings.episode_length,
-        threads=threads,
-    )
-    return _first_episodes(environment, reader, policy, settings)
-
-
-def _first_episodes(
-    environment: BatchedEnvironment, reader: PolicyReader, policy: Policy, settings: RunSettings
-) -> tuple[np.ndarray, np.ndarray]:
-    def one_step(carry: tuple[EnvState, Array, Array], _: None) -> tuple[tuple[EnvState, Array, Array], None]:
-        state, returns, lengths = carry
-        state, transition = environment.step(state, reader.mode(policy, state.obs))
-        first = (lengths == 0) & (transition.episode_length > 0)
-        returns = jnp.where(first, transition.episode_return, returns)
-        lengths = jnp.where(first, transition.episode_length, lengths)
-        return (state, returns, lengths), None
-
-    @jax.jit
-    def run(state: EnvState) -> tuple[Array, Array]:
-        start = (state, jnp.zeros(environment.num_envs, jnp.float32), jnp.zeros(environment.num_envs, jnp.int32))
-        (_, returns, lengths), _ = jax.lax.scan(one_step, start, length=settings.episode_length)
-        return returns, lengths
-
-    key = jax.random.fold_in(jax.random.key(settings.seed), 0xE7A1)
-    returns, lengths = run(environment.reset(key))
-    return np.asarray(returns), np.asarray(lengths)
 
 
 def _host_arrays(collected: Collected) -> dict[str, np.ndarray]:

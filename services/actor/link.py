@@ -6,6 +6,7 @@ import secrets
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from common.errors import CodecError, RefusedError, SessionError
 from common.settings import RunSettings
@@ -55,8 +56,11 @@ def join(
     stop: threading.Event,
     waiting: Callable[[str], None],
     asked: Callable[[str], None] = lambda state: None,
+    role: Literal["actor", "evaluator"] = "actor",
 ) -> Membership | None:
     """Ask for a slot until there is one; None where `stop` was set first, or the run is over.
+
+    An evaluator gets no slot, and what a membership says of one has no meaning for it.
 
     Args:
         run: the run to work for, or "" for whichever the learner has.
@@ -70,7 +74,7 @@ def join(
     while not stop.is_set():
         # A fresh incarnation each time: an answer that got lost must not leave two lives with one name.
         incarnation = secrets.token_hex(8)
-        question = Join(run, "actor", incarnation, versions, hardware, physics)
+        question = Join(run, role, incarnation, versions, hardware, physics)
         try:
             reply = JoinReply.decode(session.ask(JOIN, question.encode(), JOIN_TIMEOUT_S))
         except SessionError:
@@ -95,21 +99,18 @@ def join(
     return None
 
 
-class Link:
-    """The conversation of one incarnation: orders in, rollouts out."""
+class Following:
+    """The conversation of one incarnation that follows a run: orders and policies in, something out."""
 
-    def __init__(self, session: Session, member: Membership, *, push_timeout_s: float) -> None:
+    def __init__(self, session: Session, run: str, *, push_timeout_s: float) -> None:
         self._session = session
-        self._member = member
-        self._keys = Keys(member.run)
+        self._keys = Keys(run)
         self._push_timeout_s = push_timeout_s
         self._changed = threading.Condition()
         self._orders: Orders | None = None
         self._learner_gone = False
-        self._beat = session.publisher(self._keys.heartbeat(member.slot), express=True, high_priority=True)
         session.subscribe(self._keys.policy_notify, self._on_orders)
         session.watch_alive(self._keys.alive("learner", "learner"), self._on_learner)
-        session.declare_alive(self._keys.alive("actor", member.incarnation))
 
     def orders(self, *, newer_than: Orders | None, timeout_s: float) -> Orders | None:
         """The newest orders once they differ from those given, or None after the time.
@@ -134,34 +135,6 @@ class Link:
             return Snapshot.decode(self._session.ask(self._keys.policy_latest, b"", self._push_timeout_s))
         except (SessionError, CodecError) as error:
             raise Lost(f"no policy from the learner: {error}") from None
-
-    def environment(self) -> Environment:
-        """The environments that the slot goes on from. Lost where the learner has none for it any more."""
-        key = self._keys.environment(self._member.slot)
-        try:
-            return Environment.decode(self._session.ask(key, b"", self._push_timeout_s))
-        except (SessionError, CodecError) as error:
-            raise Lost(f"no environments from the learner: {error}") from None
-
-    def push(self, rollout: Rollout, stop: threading.Event) -> bool:
-        """Send until there is an answer; whether the learner took it.
-
-        Raises:
-            Lost: the learner is gone, or does not know this incarnation any more.
-            RefusedError: what was sent is malformed; sending it again would not help.
-        """
-        return self._push(self._keys.rollout(self._member.slot), rollout.encode(), stop)
-
-    def push_evaluation(self, evaluation: Evaluation, stop: threading.Event) -> bool:
-        """As `push`, for an evaluation."""
-        return self._push(self._keys.evaluation(self._member.slot), evaluation.encode(), stop)
-
-    def push_environment(self, environment: Environment, stop: threading.Event) -> bool:
-        """As `push`, for the state of the slot's environments."""
-        return self._push(self._keys.environment(self._member.slot), environment.encode(), stop)
-
-    def beat(self, heartbeat: Heartbeat) -> None:
-        self._beat.put(heartbeat.encode())
 
     def _push(self, key: str, data: bytes, stop: threading.Event) -> bool:
         while not stop.is_set():
@@ -195,6 +168,44 @@ class Link:
             # For good: a learner that comes back has seen this actor go, too, and has given up its slot.
             self._learner_gone |= role == "learner" and not alive
             self._changed.notify_all()
+
+
+class Link(Following):
+    """The conversation of one incarnation of an actor: orders in, rollouts out."""
+
+    def __init__(self, session: Session, member: Membership, *, push_timeout_s: float) -> None:
+        super().__init__(session, member.run, push_timeout_s=push_timeout_s)
+        self._member = member
+        self._beat = session.publisher(self._keys.heartbeat(member.slot), express=True, high_priority=True)
+        session.declare_alive(self._keys.alive("actor", member.incarnation))
+
+    def environment(self) -> Environment:
+        """The environments that the slot goes on from. Lost where the learner has none for it any more."""
+        key = self._keys.environment(self._member.slot)
+        try:
+            return Environment.decode(self._session.ask(key, b"", self._push_timeout_s))
+        except (SessionError, CodecError) as error:
+            raise Lost(f"no environments from the learner: {error}") from None
+
+    def push(self, rollout: Rollout, stop: threading.Event) -> bool:
+        """Send until there is an answer; whether the learner took it.
+
+        Raises:
+            Lost: the learner is gone, or does not know this incarnation any more.
+            RefusedError: what was sent is malformed; sending it again would not help.
+        """
+        return self._push(self._keys.rollout(self._member.slot), rollout.encode(), stop)
+
+    def push_evaluation(self, evaluation: Evaluation, stop: threading.Event) -> bool:
+        """As `push`, for an evaluation."""
+        return self._push(self._keys.evaluation(self._member.slot), evaluation.encode(), stop)
+
+    def push_environment(self, environment: Environment, stop: threading.Event) -> bool:
+        """As `push`, for the state of the slot's environments."""
+        return self._push(self._keys.environment(self._member.slot), environment.encode(), stop)
+
+    def beat(self, heartbeat: Heartbeat) -> None:
+        self._beat.put(heartbeat.encode())
 
 
 def _refused(reason: str) -> bool:

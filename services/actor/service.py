@@ -17,7 +17,8 @@ from common.runtime import hardware, prepare_jax, software_versions
 from common.settings import TransportSettings
 from common.wire.messages import Environment, Evaluation, Orders, Rollout, digest_arrays
 from common.wire.session import Session, open_session
-from services.actor.collector import Collector, Place, PolicyReader, evaluate
+from services.actor.collector import Collector, Place, PolicyReader
+from services.actor.deterministic import evaluate
 from services.actor.heartbeat import NO_POLICY, Heart
 from services.actor.link import Link, Lost, Membership, join
 from services.actor.state_file import state_keeper

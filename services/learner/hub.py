@@ -36,6 +36,7 @@ from services.learner.admission import check_evaluation, check_heartbeat, check_
 from services.learner.census import Census
 from services.learner.display import Status
 from services.learner.environments import EnvironmentDesk
+from services.learner.evaluators import EvaluatorDesk
 from services.learner.fleet import Fleet, gathering_of
 from services.learner.slots import ACCEPTED, Start
 
@@ -84,6 +85,9 @@ class Hub:
         self.environments = EnvironmentDesk(
             run, settings, log, self._fleet, self._changed, partial(self._refused, "environment"), logged_environments
         )
+        self.evaluators = EvaluatorDesk(
+            run, settings, log, self._fleet, self._changed, partial(self._refused, "assessment"), time.monotonic
+        )
         self._orders = session.publisher(self._keys.policy_notify, express=True, high_priority=True)
         self._metrics = session.publisher(self._keys.metrics)
         self._status = session.publisher(self._keys.status)
@@ -95,6 +99,7 @@ class Hub:
         session.serve(keys.rollouts, self._on_rollout)
         session.serve(keys.evaluations, self._on_evaluation)
         session.serve(keys.environments, self.environments.on_request)
+        session.serve(keys.assessments, self.evaluators.on_request)
         session.subscribe(keys.heartbeats, self._on_heartbeat)
         session.watch_alive(keys.all_alive, self._on_alive)
         session.declare_alive(keys.alive("learner", "learner"))
@@ -201,7 +206,9 @@ class Hub:
         """The run and all its actors at this moment."""
         with self._changed:
             now_s = time.monotonic()
-            return self._census.report(self._fleet, self._fleet.waiting_for(now_s), now_s, time.time_ns())
+            report = self._census.report(self._fleet, self._fleet.waiting_for(now_s), now_s, time.time_ns())
+            evaluators, evaluation = self.evaluators.report()
+            return report.model_copy(update={"evaluators": evaluators, "evaluation": evaluation})
 
     def waiting_for(self) -> str:
         """Which slots' rollouts are missing, and why; empty where none is."""
@@ -246,6 +253,8 @@ class Hub:
     def _join(self, join: Join) -> JoinReply:
         if join.run not in ("", self._run):
             return self._no("run", f"this learner runs {self._run!r}, not {join.run!r}", final=True)
+        if join.role == "evaluator":
+            return self._join_evaluator(join)
         physics = join.physics if self._settings.physics == "auto" else self._settings.physics
         host = printable(join.hardware.get("host", "?"), 64)
         with self._changed:
@@ -263,6 +272,16 @@ class Hub:
         settings = self._settings.model_dump_json()
         return JoinReply(True, "", False, self._run, slot.number, generation, settings, restore)
 
+    def _join_evaluator(self, join: Join) -> JoinReply:
+        with self._changed:
+            if self._fleet.finished:
+                return self._no("finished", f"{FINISHED}: nothing is left to evaluate of {self._run!r}", final=True)
+            try:
+                self.evaluators.join(join.incarnation)
+            except RefusedError as error:
+                return self._no("no_place", str(error), final=False)
+        return JoinReply(True, "", False, self._run, 0, 0, self._settings.model_dump_json())
+
     def _no(self, slug: str, reason: str, *, final: bool) -> JoinReply:
         with self._changed:
             self._census.turned_away(slug)
@@ -276,6 +295,9 @@ class Hub:
             return
         if role == "actor" and not alive:
             self._lose(incarnation, "is gone")
+        elif role == "evaluator":
+            with self._changed:
+                self.evaluators.seen(incarnation, alive)
 
     def _lose(self, incarnation: str, why: str) -> None:
         with self._changed:

@@ -14,6 +14,7 @@ from common.log.reader import LogReader
 from common.log.records import LogMessage
 from common.log.segments import find_segments
 from common.wire.messages import Environment, Rollout, Snapshot
+from services.learner.evaluations import is_of_the_run
 from services.learner.slots import Place
 from services.learner.tail import LoggedUpdate, place_of, read_updates
 
@@ -92,7 +93,8 @@ def read_logged_run(run_dir: Path, slots: int, staleness: int = 0) -> LoggedRun:
     for path in found.segments:
         first: int | None = None
         for message in LogReader(path).messages():
-            newest[message.topic] = message
+            if message.topic != "/eval" or is_of_the_run(message.json()):
+                newest[message.topic] = message
             if message.topic == "/rollout":
                 rollouts.append(message.data)
             elif message.topic == "/update":

@@ -18,6 +18,7 @@ from common.wire.messages import Evaluation, Rollout
 from services.learner.again import Again
 from services.learner.checkpoints import Checkpoints, KeptEnvironments
 from services.learner.display import Display, Status
+from services.learner.evaluations import scalars as evaluation_scalars
 from services.learner.hub import Hub, make_snapshot
 from services.learner.scalars import Scalars
 from services.learner.statistics import Episodes, actor_seconds
@@ -128,6 +129,11 @@ class Run:
             if not (self._hub.actors() or self._hub.standing_by()) or time.monotonic() > deadline:
                 return
             time.sleep(0.1)
+
+    def draw_evaluations(self) -> None:
+        """Add what evaluators have brought to the curves."""
+        for record in self._hub.evaluators.fresh():
+            self._scalars.add(record["env_steps"], evaluation_scalars(record))
 
     # -- the loop ------------------------------------------------------------------------------------------
 
@@ -273,6 +279,7 @@ class Run:
         )
         self._display.show(status)
         self._hub.publish_status(status)
+        self.draw_evaluations()
 
 
 def _prefixed(seconds: dict[str, float]) -> dict[str, float]:

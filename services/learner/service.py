@@ -23,6 +23,8 @@ from common.wire.session import open_session
 from services.learner.again import Again
 from services.learner.checkpoints import Checkpoints
 from services.learner.display import Display, make_display
+from services.learner.evaluations import OF_THE_RUN, eval_record
+from services.learner.evaluations import scalars as evaluation_scalars
 from services.learner.hub import Hub
 from services.learner.resume import Resumption, resume_run
 from services.learner.run import Run
@@ -94,9 +96,13 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
             raise failures[0]
         summary = summarise(settings, run_dir, run, loop, evaluation, time.monotonic() - began_s)
         summary["complete"] = complete
-        if evaluation is not None and not again.holds("/eval", evaluation.version):
-            log.write("/eval", _eval_record(evaluation))
+        if evaluation is not None:
+            record = _final_record(evaluation, loop.env_steps)
+            scalars.add(loop.env_steps, evaluation_scalars(record))
+            if not again.holds("/eval", evaluation.version):
+                log.write("/eval", record)
         log.flush(timeout_s=60.0)
+        loop.draw_evaluations()
         write_json(run_dir / SUMMARY, summary)
         display.close()
         for line in describe(summary, run_dir):
@@ -207,11 +213,6 @@ def describe(summary: dict[str, Any], run_dir: Path) -> Iterator[str]:
     yield f"  log {summary['log']}, summary {run_dir / SUMMARY}, curves {run_dir / 'tensorboard'}"
 
 
-def _eval_record(evaluation: Evaluation) -> dict[str, Any]:
-    return {
-        "version": evaluation.version,
-        "episodes": len(evaluation.episode_return),
-        "return_mean": float(evaluation.episode_return.mean()),
-        "return_std": float(evaluation.episode_return.std()),
-        "length_mean": float(evaluation.episode_length.mean()),
-    }
+def _final_record(evaluation: Evaluation, env_steps: int) -> dict[str, Any]:
+    returns, lengths = evaluation.episode_return, evaluation.episode_length
+    return eval_record(evaluation.version, env_steps, returns, lengths, source=OF_THE_RUN, behind=0)

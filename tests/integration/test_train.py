@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import signal
 import subprocess
@@ -11,10 +12,12 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from small_runs import ACTORS, BATCH, ENVS, STEPS, Training, small_run
+from interruptions import processes, wait_for
+from small_runs import ACTORS, BATCH, ENVS, SMALL, STEPS, Training, small_run
 
 from common.log.reader import LogReader
 from common.settings_sources import parse_json
+from common.wire.endpoint import free_port
 from common.wire.messages import Rollout
 from services.learner.checkpoints import list_checkpoints, read_checkpoint
 from services.learner.trainer import Trainer
@@ -198,6 +201,42 @@ def test_ctrl_c_ends_cleanly(tmp_path: Path) -> None:
     assert not reader.torn
     assert reader.counts()["/update"] == summary["updates"]
     assert not [pid for pid in processes if Path(f"/proc/{pid}").exists()]
+
+
+def evaluations(run_dir: Path) -> dict[str, list[int]]:
+    """Versions in the log's `/eval` by source; none where there is no log yet."""
+    found: dict[str, list[int]] = {}
+    if list((run_dir / "log").glob("*.mcap")):
+        for message in LogReader(run_dir).messages(["/eval"]):
+            found.setdefault(message.json()["source"], []).append(message.json()["version"])
+    return found
+
+
+def test_an_evaluator_does_not_change_training(finished: Training, tmp_path: Path) -> None:
+    """One that is killed, one that stays: both bring figures, and the run ends in the state of one without any."""
+    endpoint, run_dir = f"tcp/127.0.0.1:{free_port()}", tmp_path / "run"
+    sizes = ["--total-steps", str(BATCH * UPDATES), "--evaluation.episodes", "32"]
+    actor = ["actor", "--endpoint", endpoint, "--physics", "native", "--threads", "1"]
+    evaluator = ["evaluator", *actor[1:], "--every", "1", "--episodes", "4"]
+    with processes(tmp_path) as started:
+        learner = started.start("learner", "--run-dir", run_dir, "--transport.endpoint", endpoint, *SMALL, *sizes)
+        doomed = started.start(*evaluator)
+        others = [started.start(*actor), started.start(*evaluator)]
+        wait_for(lambda: len(evaluations(run_dir)) == 2)
+        doomed.kill()
+        # Only now is there an actor for the second slot, and with it the first update.
+        others.append(started.start(*actor))
+        for process in (learner, *others):
+            process.end()
+    assert json.loads((run_dir / "summary.json").read_text())["state_digest"] == finished.summary["state_digest"]
+    found = evaluations(run_dir)
+    assert found.pop("run") == [UPDATES]
+    assert [versions[0] for versions in found.values()] == [0, 0]
+    (curves,) = (run_dir / "tensorboard").iterdir()
+    assert curves.read_bytes().count(b"eval/return_std") == 1 + sum(map(len, found.values()))
+    trajectories = list(LogReader(run_dir).messages(["/trajectory"]))
+    assert len(trajectories) == sum(map(len, found.values()))
+    assert all(len(step["qpos"]) == 2 for message in trajectories for step in message.json()["steps"])
 
 
 def test_dead_learner_ends_the_run(tmp_path: Path) -> None:

@@ -143,7 +143,7 @@ def test_help_of_an_actor(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        ([], "the following arguments are required: {train,learner,actor,status,doctor,replay}"),
+        ([], "the following arguments are required: {train,learner,actor,evaluator,status,doctor,replay}"),
         (["trian"], "invalid choice: 'trian'"),
         (["train", "--algorithm.gama", "1"], "unrecognized arguments: --algorithm.gama 1"),
         (["train", "--ta", "hopper"], "unrecognized arguments: --ta hopper"),
@@ -307,6 +307,18 @@ def test_an_actor_that_finds_nobody(said: Said, endpoint: str) -> None:
     code, text = said("actor", "--endpoint", endpoint, "--connect-timeout", "0.5", "--physics", "native")
     assert code == 3
     assert text.startswith(f"no connection to {endpoint} within 0.5 s. Likely causes: no learner is running there; ")
+
+
+def test_an_evaluator_that_finds_nobody(said: Said, endpoint: str) -> None:
+    """As an actor."""
+    code, text = said("evaluator", "--endpoint", endpoint, "--connect-timeout", "0.5", "--physics", "native")
+    assert code == 3
+    assert text.startswith(f"no connection to {endpoint} within 0.5 s.")
+
+
+def test_an_evaluator_with_nothing_to_do(said: Said) -> None:
+    """Is refused before it looks for a learner."""
+    assert said("evaluator", "--every", "0") == (2, "--every is 0; allowed: 1 or more")
 
 
 def test_an_actor_with_no_address(said: Said) -> None:

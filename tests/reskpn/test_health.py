@@ -78,6 +78,14 @@ def test_actors(
     assert capsys.readouterr().out == f"{text}\n"
 
 
+def test_evaluators(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As actors."""
+    file = tmp_path / "evaluator.json"
+    file.write_text(json.dumps({"state": "evaluating", "version": 12, "time_s": time.time()}))
+    assert main(["evaluator", "--state-file", str(file)]) == 0
+    assert capsys.readouterr().out == "the evaluator has policy 12 (evaluating)\n"
+
+
 def test_an_actor_that_has_not_begun(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Has no file."""
     assert main(["actor", "--state-file", str(tmp_path / "actor.json")]) == 1

@@ -8,7 +8,7 @@ import pytest
 from reports import actor, progress, report
 from rich.console import Console
 
-from common.wire.report import RefusalReport, RunReport, Totals, VacancyReport
+from common.wire.report import EvaluationReport, RefusalReport, RunReport, Totals, VacancyReport
 from reskpn.status_view import COLUMNS, actor_row, duration, head, number, tail, vacancy_row, view
 
 
@@ -89,6 +89,18 @@ def test_what_was_not_used() -> None:
         "turned away: no_slot 9",
         "last, 3.0 s ago: rollout bad_shape: obs has shape (1,)",
     ]
+
+
+def test_the_newest_evaluation() -> None:
+    """How far it is behind, how good the policy was, and how many evaluators are here; without any, no line of it."""
+    found = EvaluationReport(
+        version=40, env_steps=4000, episodes=16, return_mean=512.34, return_std=3.1, length_mean=512.0, source="5f",
+        behind=3, ago_s=4.2,
+    )  # fmt: skip
+    line = "evaluation: policy 40 (-3): return 512.3 ± 3.1 over 16 episodes, 4.2 s ago; 1 evaluator"
+    assert tail(report(evaluators=1, evaluation=found))[0] == line
+    assert tail(report(evaluators=2))[0] == "evaluation: none yet; 2 evaluators"
+    assert tail(report())[0].startswith("rollouts:")
 
 
 def test_slots_are_in_their_order() -> None:

@@ -40,6 +40,7 @@ def one_of_each() -> dict[str, bytes | dict[str, Any]]:
         "/episode": {"version": 1, "count": 2, "return_mean": 1.5},
         "/event": {"level": "info", "name": "joined", "text": "actor 0 joined", "slot": 0},
         "/eval": {"version": 1, "episodes": 4, "return_mean": 10.0},
+        "/trajectory": {"version": 1, "source": "e1", "steps": [{"time_s": 0.5, "qpos": [0.25]}]},
     }
 
 

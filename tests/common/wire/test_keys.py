@@ -24,6 +24,8 @@ def test_keys_as_documented():
     assert keys.evaluation(0) == "reskpn/v1/hopper-1/evaluation/0"
     assert keys.environment(4) == "reskpn/v1/hopper-1/environment/4"
     assert keys.environments == "reskpn/v1/hopper-1/environment/*"
+    assert keys.assessment("5f") == "reskpn/v1/hopper-1/assessment/5f"
+    assert keys.assessments == "reskpn/v1/hopper-1/assessment/*"
     assert keys.heartbeat(12) == "reskpn/v1/hopper-1/heartbeat/12"
     assert keys.alive("actor", "5f") == "reskpn/v1/hopper-1/alive/actor/5f"
     assert keys.rollouts == "reskpn/v1/hopper-1/rollout/*"
@@ -81,6 +83,8 @@ def test_a_token_is_no_wildcard(role, identity):
     """A token cannot speak for others: roles and ids are single chunks without wildcards."""
     with pytest.raises(SettingsError):
         Keys("r").alive(role, identity)
+    with pytest.raises(SettingsError):
+        Keys("r").assessment("a/*")
 
 
 def test_slots_count_from_zero():

@@ -18,7 +18,8 @@ from common.maths.rkhs.make import make_representation
 from common.maths.trees import to_arrays
 from common.physics.environments import BatchedEnvironment, make_environment
 from common.wire.messages import Rollout, RolloutShape
-from services.actor.collector import COLLECT, RESET, Collector, Experience, Place, PolicyReader, evaluate
+from services.actor.collector import COLLECT, RESET, Collector, Experience, Place, PolicyReader
+from services.actor.deterministic import DeterministicEpisodes, evaluate
 
 ENVS, STEPS, EPISODE = 4, 5, 7
 ROLLOUTS = 8
@@ -371,6 +372,22 @@ def test_an_evaluation_is_deterministic(
     np.testing.assert_array_equal(evaluated[1], lengths)
     # The policy counts: with the mean alone some episodes are shorter than others, or than the limit.
     assert lengths.min() < EPISODE
+
+
+def test_the_first_episode_is_kept(environment: BatchedEnvironment, reader: PolicyReader, policy: Policy) -> None:
+    """Its joint positions before each step, to its end; and to play the same policy again gives the same again."""
+    episodes = DeterministicEpisodes(SETTINGS, reader, ENVS, threads=1)
+    first, again = episodes.play(policy), episodes.play(policy)
+    for name in ("returns", "lengths", "qpos"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
+    state = environment.reset(jax.random.fold_in(jax.random.key(SETTINGS.seed), 0xE7A1))
+    mode = jax.jit(reader.mode)
+    expected = []
+    for _ in range(first.lengths[0]):
+        expected.append(np.asarray(state.bodies.q[0]))
+        state, _ = environment.step(state, mode(policy, state.obs))
+    np.testing.assert_array_equal(first.qpos, np.stack(expected))
+    assert episodes.step_s == pytest.approx(0.04)  # the pendulum's 0.02 s, twice
 
 
 def test_environments_go_on_elsewhere(

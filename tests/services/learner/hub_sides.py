@@ -21,20 +21,20 @@ KEYS = Keys(RUN)
 
 
 class HeldLog:
-    """A log that writes rollouts when it is told to, as a slow disk would."""
+    """A log that writes what is to be acknowledged when it is told to, as a slow disk would."""
 
     def __init__(self, log: LogWriter) -> None:
         self._log = log
-        self._held: Queue[tuple[bytes, Callable[[], None]]] = Queue()
+        self._held: Queue[tuple[str, Any, Callable[[], None]]] = Queue()
         self._free = True
 
     def hold(self) -> None:
         self._free = False
 
     def let_one_go(self) -> None:
-        """Write the rollout that has waited longest, once there is one."""
-        data, on_durable = self._held.get(timeout=DEADLINE_S)
-        self._log.write("/rollout", data, on_durable=on_durable)
+        """Write the message that has waited longest, once there is one."""
+        topic, data, on_durable = self._held.get(timeout=DEADLINE_S)
+        self._log.write(topic, data, on_durable=on_durable)
 
     @property
     def pending_bytes(self) -> int:
@@ -44,11 +44,11 @@ class HeldLog:
     def waiting(self) -> int:
         return self._held.qsize()
 
-    def write(self, topic: str, data: Any, *, on_durable: Callable[[], None]) -> None:
-        if self._free:
+    def write(self, topic: str, data: Any, *, on_durable: Callable[[], None] | None = None) -> None:
+        if self._free or on_durable is None:
             self._log.write(topic, data, on_durable=on_durable)
         else:
-            self._held.put((data, on_durable))
+            self._held.put((topic, data, on_durable))
 
 
 class Learner:

@@ -94,6 +94,20 @@ def test_the_newest_complete_checkpoint(tmp_path: Path) -> None:
     assert found.notes[-1].endswith("environments of 2 slots; a tail of 1 updates and 1 rollouts not yet used")
 
 
+def test_evaluations_of_a_version_may_repeat(tmp_path: Path) -> None:
+    """What evaluators found of it, however often, is not the run's own evaluation, which is written once."""
+    write_log(tmp_path, 7)
+    keep(tmp_path, 6)
+    with LogWriter(tmp_path / "log", metadata=METADATA) as log:
+        for version, source in ((5, "e"), (7, "e"), (7, "f"), (7, "f")):
+            log.write("/eval", {"version": version, "source": source})
+    assert not resumed(tmp_path).tail.holds("/eval", 7)
+    with LogWriter(tmp_path / "log", metadata=METADATA) as log:
+        log.write("/eval", {"version": 7, "source": "run"})
+        log.write("/eval", {"version": 7, "source": "e"})
+    assert resumed(tmp_path).tail.holds("/eval", 7)
+
+
 def test_without_environments_the_one_before(tmp_path: Path) -> None:
     """It is good, but the run had no time to complete it."""
     write_log(tmp_path, 7)
