@@ -1,13 +1,18 @@
-"""Shape and type checks of the mathematics, and a JAX that the native engine can work with, for every test.
+"""Shape and type checks of the mathematics, a JAX that the native engine can work with, and no clock, for every test.
 
 JAX itself is imported only for tests that may use it: those of log and wire do without, and are quicker so.
 """
 
 from pathlib import Path
 
+from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
 WITHOUT_JAX = ("log", "wire")
+
+# How long an example takes is the machine's affair, not a promise of what is tested.
+settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("untimed")
 
 # In place before `common.maths` is imported for the first time, by whichever test does so.
 install_import_hook("common.maths", "shape_checks.check")

@@ -74,7 +74,7 @@ def check_cut(sample: Sample, cut: int) -> None:
     ]
 
 
-@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_file_cut_at_any_byte_gives_its_whole_chunks(sample: Sample, data: st.DataObject) -> None:
     """Never an error, never a torn message: a prefix, and a report of what was dropped."""
@@ -88,7 +88,7 @@ def test_a_file_cut_at_the_edge_of_a_chunk_gives_its_whole_chunks(sample: Sample
         check_cut(sample, cut)
 
 
-@settings(deadline=None, max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_changed_byte_is_noticed_or_harmless(sample: Sample, data: st.DataObject) -> None:
     """Whatever byte is changed: either LogReadError, or all messages as they were (it was in no message's way)."""

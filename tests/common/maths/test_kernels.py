@@ -48,7 +48,7 @@ def test_a_point_with_itself_in_spite_of_rounding():
 
 
 @given(points)
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_gram_matrix_is_positive_semi_definite(x):
     """For any points the Gram matrix is symmetric, its entries in [0, 1], its eigenvalues not negative."""
     with jax.enable_x64(True):

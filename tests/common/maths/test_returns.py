@@ -20,7 +20,7 @@ discounted = jax.jit(returns.discounted_returns, static_argnames="gamma")
 
 
 @given(numbers, numbers, numbers, ends)
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_advantage_is_the_sum_of_later_deltas(reward, value, next_value, end):
     """The backward scan gives what a double loop over later steps gives, whatever ends where."""
     terminated, truncated = end == 1, end == 2
@@ -89,7 +89,7 @@ carries = nps.arrays(np.float64, (SLOTS, ENVS), elements=st.floats(-10, 10))
 
 
 @given(carries, slots, freshness, rollouts, dones)
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_discounted_returns_are_those_of_a_loop(carried, slot, fresh, reward, done):
     """Any order of slots, with several rollouts of one slot and fresh environments among them."""
     arguments = (carried, slot, fresh, reward, done)

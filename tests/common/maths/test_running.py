@@ -26,7 +26,7 @@ def moments_of(parts: list[np.ndarray]) -> Moments:
 
 
 @given(values, cuts)
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_moments_are_those_of_all_data_however_split(data, cuts):
     """Merged in any parts, mean and variance are NumPy's over all rows, but for the prior of weight 1e-4."""
     moments = moments_of(np.split(data, cuts))

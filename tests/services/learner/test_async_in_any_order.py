@@ -154,4 +154,4 @@ class AnyOrderOfThings(RuleBasedStateMachine):
 
 
 TestAnyOrderOfThings = AnyOrderOfThings.TestCase
-TestAnyOrderOfThings.settings = hypothesis_settings(max_examples=60, stateful_step_count=30, deadline=None)
+TestAnyOrderOfThings.settings = hypothesis_settings(max_examples=60, stateful_step_count=30)

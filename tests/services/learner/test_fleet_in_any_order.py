@@ -213,4 +213,4 @@ class AnyOrderOfThings(RuleBasedStateMachine):
 
 
 TestAnyOrderOfThings = AnyOrderOfThings.TestCase
-TestAnyOrderOfThings.settings = hypothesis_settings(max_examples=80, stateful_step_count=50, deadline=None)
+TestAnyOrderOfThings.settings = hypothesis_settings(max_examples=80, stateful_step_count=50)
