@@ -44,6 +44,7 @@ from common.wire.messages import (
 from common.wire.report import RunReport
 from common.wire.session import Request
 from services.learner.display import Status
+from services.learner.evaluations import source_of
 from services.learner.hub import Hub
 
 RUN = "run-1"
@@ -334,7 +335,7 @@ class Siege:
         assert logged == totals.accepted
         evaluations = [message.json() for message in LogReader(self.directory).messages({"/eval"})]
         assert sorted(record["version"] for record in evaluations) == sorted(self.assessed)
-        assert {record["source"] for record in evaluations} == {EVALUATOR}
+        assert {record["source"] for record in evaluations} == {source_of(EVALUATOR)}
         assert (report.evaluators, len(report.actors)) == (1, len(self.names) + len(self._strangers()))
 
 

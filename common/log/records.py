@@ -137,7 +137,9 @@ _EVAL = _object(
     return_max=_number("greatest return"),
     length_mean=_number("mean length in steps"),
     length_std=_number("standard deviation of the length"),
-    source=_string("run for the run's own evaluation at its end, else the evaluator's incarnation"),
+    source=_string(
+        "run for the run's own evaluation at its end, else the evaluator with the beginning of its incarnation"
+    ),
     behind=_integer("versions published after this one when the evaluation came in"),
 )
 

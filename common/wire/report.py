@@ -104,7 +104,7 @@ class EvaluationReport(_Part):
     return_std: Number
     length_mean: Number
     source: Line
-    """The evaluator's incarnation."""
+    """The evaluator, with the beginning of its incarnation."""
     behind: int
     """Versions published after this one by now."""
     ago_s: Number

@@ -10,7 +10,10 @@ import numpy as np
 from common.wire.assessment import Assessment
 
 OF_THE_RUN = "run"
-"""The source of the run's own evaluation at its end; no incarnation is called so."""
+"""The source of the run's own evaluation at its end; `source_of` gives no such."""
+
+SHOWN = 8
+"""Characters of an incarnation that are told: whoever knows all of it could speak for it."""
 
 
 def eval_record(
@@ -33,6 +36,11 @@ def eval_record(
     }
 
 
+def source_of(evaluator: str) -> str:
+    """What an evaluator is called in the log and in reports."""
+    return f"evaluator-{evaluator[:SHOWN]}"
+
+
 def is_of_the_run(record: Mapping[str, Any]) -> bool:
     """Whether an `/eval` message is of the run's own evaluation; those of the first release name no source."""
     return record.get("source", OF_THE_RUN) == OF_THE_RUN
@@ -42,7 +50,7 @@ def trajectory_record(assessment: Assessment) -> dict[str, Any]:
     """The `/trajectory` message: positions rounded to a millionth, which is finer than any plot."""
     rows = np.round(assessment.qpos.astype(np.float64), 6).tolist()
     steps = [{"time_s": round(t * assessment.step_s, 6), "qpos": row} for t, row in enumerate(rows)]
-    return {"version": assessment.version, "source": assessment.evaluator, "steps": steps}
+    return {"version": assessment.version, "source": source_of(assessment.evaluator), "steps": steps}
 
 
 def scalars(record: Mapping[str, Any]) -> dict[str, float]:

@@ -20,7 +20,7 @@ from common.wire.keys import Keys
 from common.wire.messages import PushReply
 from common.wire.report import EvaluationReport
 from common.wire.session import Request
-from services.learner.evaluations import eval_record, trajectory_record
+from services.learner.evaluations import eval_record, source_of, trajectory_record
 from services.learner.fleet import Fleet
 from services.learner.slots import ACCEPTED
 
@@ -161,7 +161,7 @@ class EvaluatorDesk:
             given.version * self._batch_size,
             given.episode_return,
             given.episode_length,
-            source=given.evaluator,
+            source=source_of(given.evaluator),
             behind=self._fleet.version - given.version,
         )
 

@@ -15,7 +15,7 @@ from common.settings_sources import parse_json
 from common.wire.assessment import Assessment
 from common.wire.messages import PushReply
 from services.learner import evaluators as evaluators_module
-from services.learner.evaluations import scalars
+from services.learner.evaluations import is_of_the_run, scalars
 
 
 def assessment(name: str = "e", version: int = 0, **changes: Any) -> Assessment:
@@ -68,11 +68,11 @@ def test_what_it_brings_is_logged(learners: Callable[..., Learner], evaluator: C
     assert push(side, assessment(version=3)) == PushReply("accepted", "")
     expected = {
         "version": 3, "env_steps": 36, "episodes": 2, "return_mean": 20.0, "return_std": 10.0, "return_min": 10.0,
-        "return_max": 30.0, "length_mean": 6.0, "length_std": 1.0, "source": "e", "behind": 1,
+        "return_max": 30.0, "length_mean": 6.0, "length_std": 1.0, "source": "evaluator-e", "behind": 1,
     }  # fmt: skip
     assert logged(learner, "/eval") == [expected]
     steps = [{"time_s": 0.0, "qpos": [0.25]}, {"time_s": 0.5, "qpos": [0.333333]}]
-    assert logged(learner, "/trajectory") == [{"version": 3, "source": "e", "steps": steps}]
+    assert logged(learner, "/trajectory") == [{"version": 3, "source": "evaluator-e", "steps": steps}]
     assert learner.hub.evaluators.fresh() == [expected]
     assert learner.hub.evaluators.fresh() == []
     assert scalars(expected) == {"eval/return": 20.0, "eval/return_std": 10.0, "eval/length": 6.0}
@@ -102,7 +102,10 @@ def test_two_evaluators_may_judge_the_same_version(
     for name in ("e", "f"):
         none = np.zeros((0, 1), np.float32)
         assert push(evaluator(name), assessment(name, qpos=none)).status == "accepted"
-    assert [(record["version"], record["source"]) for record in logged(learner, "/eval")] == [(0, "e"), (0, "f")]
+    assert [(record["version"], record["source"]) for record in logged(learner, "/eval")] == [
+        (0, "evaluator-e"),
+        (0, "evaluator-f"),
+    ]
     assert logged(learner, "/trajectory") == []
 
 
@@ -117,11 +120,23 @@ def test_the_report_shows_the_newest(
     learner.hub.begin(snapshot(2))
     found = learner.hub.report().evaluation
     assert found is not None
-    assert (found.version, found.return_mean, found.source, found.behind) == (0, 20.0, "e", 2)
+    assert (found.version, found.return_mean, found.source, found.behind) == (0, 20.0, "evaluator-e", 2)
     assert 0.0 <= found.ago_s < 15.0
     side.session.close()
     until(lambda: learner.hub.report().evaluators == 0)
     assert learner.hub.report().evaluation is not None
+
+
+def test_nobody_speaks_for_the_run(learners: Callable[..., Learner], evaluator: Callable[[str], Actor]) -> None:
+    """An evaluator whose name is that of the run's own evaluation is told apart; a long name is told in part."""
+    learner = learners()
+    for name in ("run", "5f31aa0012bb34cc"):
+        assert push(evaluator(name), assessment(name)).status == "accepted"
+    records = logged(learner, "/eval")
+    assert [record["source"] for record in records] == ["evaluator-run", "evaluator-5f31aa00"]
+    assert not any(map(is_of_the_run, records))
+    assert is_of_the_run({"version": 3, "source": "run"})
+    assert is_of_the_run({"version": 3})  # of the first release
 
 
 def test_what_is_refused(learners: Callable[..., Learner], evaluator: Callable[[str], Actor]) -> None:

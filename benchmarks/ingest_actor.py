@@ -1,0 +1,98 @@
+"""An actor that has nothing to compute: it joins, beats, and pushes one and the same rollout under new numbers.
+
+`python -m benchmarks.ingest_actor ENDPOINT`, until the learner says that the run is over. It loads no JAX.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+
+import numpy as np
+
+from common.rollout_shape import rollout_shape
+from common.settings import RunSettings
+from common.wire.messages import Orders, Rollout, RolloutShape
+from common.wire.session import Session, open_session
+from services.actor.heartbeat import Heart
+from services.actor.link import Link, Membership, join
+
+CONNECT_S = 60.0
+
+
+def act(endpoint: str) -> None:
+    """Work for the learner there to the end of its run."""
+    settings = RunSettings()
+    stop = threading.Event()
+    with open_session(
+        connect=[endpoint], connect_timeout_s=CONNECT_S, max_message_size=settings.transport.max_message_bytes
+    ) as session:
+        member = join(
+            session, run="", physics="native", versions={}, hardware={}, stop=stop, waiting=lambda reason: None
+        )
+        if member is not None:
+            _live(session, member, stop)
+
+
+def _live(session: Session, member: Membership, stop: threading.Event) -> None:
+    link = Link(session, member, push_timeout_s=member.settings.transport.push_timeout_s)
+    arrays = made_up(rollout_shape(member.settings))
+    orders: Orders | None = None
+    version, made, seq = -1, 0, 0
+    with Heart(link, member) as heart:
+        heart.state("waiting")
+        while True:
+            orders = link.orders(newer_than=orders, timeout_s=CONNECT_S) or orders
+            if orders is None or orders.finished:
+                return
+            wanted = orders.collect[member.slot]
+            if version != orders.version and wanted:
+                heart.version = version = link.snapshot().version
+                made = 0
+            while version == orders.version and made < wanted:
+                heart.state("pushing")
+                if not link.push(_numbered(member, seq, version, arrays), stop):
+                    break
+                made, seq = made + 1, seq + 1
+                heart.state("waiting")
+
+
+def made_up(shape: RolloutShape) -> dict[str, np.ndarray]:
+    """Arrays of a rollout in which no episode ended, out of a fixed seed."""
+    draw = np.random.default_rng(0).standard_normal
+    steps, envs, branches = shape.num_steps, shape.num_envs, shape.branches
+    sizes = {
+        "obs": (steps, envs, shape.observation_size),
+        "action": (steps, envs, shape.action_size),
+        "log_prob": (steps, envs),
+        "reward": (steps, envs),
+        "last_obs": (envs, shape.observation_size),
+        "truncated_obs": (0, shape.observation_size),
+        "episode_return": (0,),
+        "mirror_action": (branches, shape.action_size),
+        "mirror_reward": (branches,),
+        "mirror_obs": (branches, shape.observation_size),
+    }
+    numbers = {name: draw(size, np.float32) for name, size in sizes.items()}
+    flags = {name: np.zeros((steps, envs), bool) for name in ("terminated", "truncated")}
+    mirrored = {name: np.zeros(branches, bool) for name in ("mirror_terminated", "mirror_truncated")}
+    return {**numbers, **flags, **mirrored, "episode_length": np.zeros(0, np.int32)}
+
+
+def _numbered(member: Membership, seq: int, version: int, arrays: dict[str, np.ndarray]) -> Rollout:
+    return Rollout(
+        run=member.run,
+        slot=member.slot,
+        incarnation=member.incarnation,
+        seq=seq,
+        policy_version=version,
+        t_ns=time.time_ns(),
+        timing={},
+        generation=member.generation,
+        **arrays,
+    )
+
+
+if __name__ == "__main__":
+    act(sys.argv[1])
