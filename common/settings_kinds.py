@@ -23,6 +23,7 @@ Seed = Annotated[int, BeforeValidator(whole), Field(ge=0, lt=2**32)]  # JAX drop
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+Names = tuple[Annotated[str, Field(min_length=1, max_length=64)], ...]
 
 
 class Section(BaseModel):

@@ -27,6 +27,11 @@ from common.wire.session import Session
 JOIN_TIMEOUT_S = 5.0
 RETRY_S = 0.25
 BUSY_S = 0.05
+INCARNATION_BYTES = 16
+"""Whoever knows an incarnation can act for it: it must not be guessed, not even from its beginning, which is shown."""
+
+EXPLAIN_EVERY = 20
+"""Questions without an answer after which it is looked into, and said, why."""
 
 
 class Lost(Exception):
@@ -66,15 +71,18 @@ def join(
     Raises:
         RefusedError: the learner will never take this actor (another schema or run).
     """
-    told = ""
+    told, alone, lonely = "", 0, "no learner answers yet"
     while not stop.is_set():
         # A fresh incarnation each time: an answer that got lost must not leave two lives with one name.
-        incarnation = secrets.token_hex(8)
+        incarnation = secrets.token_hex(INCARNATION_BYTES)
         question = Join(run, "actor", incarnation, versions, hardware, physics)
         try:
             reply = JoinReply.decode(session.ask(JOIN, question.encode(), JOIN_TIMEOUT_S))
         except SessionError:
-            state, reason = "alone", "no learner answers yet"
+            alone += 1
+            if alone % EXPLAIN_EVERY == 0:
+                lonely = f"no learner answers yet: {session.explain()}"
+            state, reason = "alone", lonely
         except CodecError as error:
             raise RefusedError(f"the learner speaks another protocol: {error}") from None
         else:

@@ -14,6 +14,7 @@ from common.maths.policy import Policy
 from common.physics.engines import resolve_physics
 from common.runtime import hardware, prepare_jax, software_versions
 from common.settings import TransportSettings
+from common.wire.credentials import Credentials
 from common.wire.messages import Environment, Evaluation, Orders, Rollout, digest_arrays
 from common.wire.session import Session, open_session
 from services.actor.collector import Collector, Place, PolicyReader, evaluate
@@ -66,6 +67,9 @@ def run_actor(
             connect_timeout_s=connect_timeout_s,
             max_message_size=transport.max_message_bytes,
             lease_s=transport.lease_s,
+            credentials=Credentials.of(transport),
+            router=transport.router,
+            give_up=stop.is_set,
         ) as session:
             member = join(
                 session,
