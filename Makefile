@@ -35,7 +35,7 @@ test-docker: setup  ## docker-compose.yml for real: build, run, kill, scale; exi
 	@$(BIN)/python -m scripts.docker_test
 
 test-hosts: setup  ## learner, actors, a viewer and an outsider on hosts of their own (network namespaces; needs root)
-	@$(BIN)/python -m pytest tests/hosts -p no:randomly -rA --tb=short
+	@$(BIN)/python -m pytest tests/hosts -p no:randomly -rA --tb=short --timeout 400
 
 test-chaos: setup  ## kill -9 at random points and hostile messages; CHAOS_POINTS=20 of each kind, CHAOS_SEED=n to repeat
 	@CHAOS_POINTS=$(CHAOS_POINTS) $(if $(CHAOS_SEED),CHAOS_SEED=$(CHAOS_SEED)) \

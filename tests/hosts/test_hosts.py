@@ -12,12 +12,13 @@ from pathlib import Path
 
 import pytest
 from network import CannotBuild, Network
-from run_on_hosts import RunOnHosts
+from run_on_hosts import DEADLINE_S, RunOnHosts
 
 from reskpn.authority import make_all
 
 PARTITION_S = 10.0
 LEASE_S = 2.0
+SLOW_BITS_PER_S = 200_000
 
 
 @pytest.fixture(scope="module")
@@ -44,17 +45,23 @@ def test_an_outsider_is_refused(run: RunOnHosts, tmp_path: Path) -> None:
     make_all(tmp_path / "foreign", [run.network.address("learner")], days=1)
     credentials = ["--certificates", str(tmp_path / "foreign" / "actor"), "--connect-timeout", "2"]
     outsider = run.start("outsider", "outsider", ["actor", "--endpoint", run.endpoint, *credentials])
-    assert outsider.wait(60) == 3
+    assert outsider.wait(DEADLINE_S) == 3
     assert "the certificate that the learner shows was not accepted here" in run.words("outsider").read_text()
     del run.processes["outsider"]
     run.report(lambda told: told["refusals"].get("connection", {}).get("untrusted", 0) > 0, "the outsider is counted")
 
 
 def test_a_slow_link(run: RunOnHosts) -> None:
-    """The run keeps its actor and goes on at the pace of the link."""
-    run.network.slow("actor-1", "1mbit")
-    before = run.report(lambda told: True, "a report")
-    after = run.report(lambda told: told["progress"]["version"] > before["progress"]["version"] + 10, "updates")
+    """The run keeps its actor, and goes on at the pace of the link."""
+    run.network.slow("actor-1", f"{SLOW_BITS_PER_S}bit")
+    first = run.report(lambda told: True, "a report")["progress"]["version"]
+    # What was under way is over by then.
+    before = run.report(lambda told: told["progress"]["version"] > first + 2, "updates")
+    after = run.report(lambda told: told["progress"]["version"] > before["progress"]["version"] + 10, "more of them")
+    pace = (after["progress"]["version"] - before["progress"]["version"]) / (after["up_s"] - before["up_s"])
+    print(f"slow link: {pace:.2f} updates/s at {SLOW_BITS_PER_S:,} bit/s")
+    # A rollout's observations alone, 32 environments x 8 steps x 4 float32, have to pass for every update.
+    assert pace < SLOW_BITS_PER_S / (8 * 32 * 8 * 4 * 4)
     assert {actor["slot"]: actor["generation"] for actor in after["actors"]} == {0: 0, 1: 0}
     assert after["totals"]["lost"] == 0
     run.network.slow("actor-1", "1gbit")
