@@ -51,7 +51,11 @@ def ask_learner(endpoint: str, timeout_s: float = CONNECT_S, credentials: Creden
 
 
 def check_port(endpoint: str, credentials: Credentials = NOBODY) -> tuple[Finding, Answer | None]:
-    """Whether a learner can listen there, or which one does. SessionError for what is not an address."""
+    """Whether a learner can listen there, or which one does.
+
+    Raises `SessionError` for what is not an address, and `SettingsError` for credentials that cannot be used there.
+    """
+    credentials.options([], [endpoint])
     state = port_state(Endpoint.parse(endpoint))
     if state == "free":
         return Finding("port", "ok", f"{endpoint} is free: no learner is there, one can be started"), None

@@ -11,9 +11,10 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import pytest
 from small_runs import BATCH, SMALL, TICK, small_run
 
-from common.errors import WireError
+from common.errors import SessionError, WireError
 from common.log.reader import LogReader
 from common.wire.credentials import Credentials
 from common.wire.endpoint import free_port
@@ -52,6 +53,7 @@ def reported(endpoint: str, viewer: Credentials) -> RunReport:
             TICK.wait(0.1)
 
 
+@pytest.mark.timeout(400)
 def test_a_secured_run_ends_as_one_without(tmp_path: Path) -> None:
     """In the same state. Meanwhile an outsider hears why it is not let in, and the learner counts and logs it."""
     with small_run(tmp_path / "open", updates=UPDATES) as plain:
@@ -67,11 +69,8 @@ def test_a_secured_run_ends_as_one_without(tmp_path: Path) -> None:
         learner = stack.enter_context(service("learner", "--run-dir", str(run_dir), *own, *settings))
         viewer = Credentials(tmp_path / "ours" / "viewer")
         assert reported(endpoint, viewer).actors == []
-        foreign = ["--certificates", str(tmp_path / "theirs" / "actor")]
-        outsider = stack.enter_context(service("actor", "--endpoint", endpoint, *foreign, "--connect-timeout", "1"))
-        words, _ = outsider.communicate(timeout=DEADLINE_S)
-        assert outsider.returncode == 3
-        assert "the certificate that the learner shows was not accepted here" in words
+        with pytest.raises(SessionError, match="the certificate that the learner shows was not accepted here"):
+            connect(endpoint, 1.0, Credentials(tmp_path / "theirs" / "actor"))
         assert set(reported(endpoint, viewer).refusals["connection"]) == {"untrusted"}
         mine = ["--certificates", str(tmp_path / "ours" / "actor"), "--threads", "1"]
         actors = [stack.enter_context(service("actor", "--endpoint", endpoint, *mine)) for _ in range(2)]
