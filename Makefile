@@ -13,7 +13,7 @@ UPDATE_ARGS ?=
 CHAOS_POINTS ?= 20
 CHAOS_SEED ?=
 
-.PHONY: help setup train test test-chaos test-docker lint bench lock clean
+.PHONY: help setup train test test-chaos test-docker test-hosts lint bench lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -33,6 +33,9 @@ test: setup  ## all tests that fit in a few minutes
 
 test-docker: setup  ## docker-compose.yml for real: build, run, kill, scale; exit code 77 where it cannot be run here
 	@$(BIN)/python -m scripts.docker_test
+
+test-hosts: setup  ## learner, actors, a viewer and an outsider on hosts of their own (network namespaces; needs root)
+	@$(BIN)/python -m pytest tests/hosts -p no:randomly -rA --tb=short --timeout 400
 
 test-chaos: setup  ## kill -9 at random points and hostile messages; CHAOS_POINTS=20 of each kind, CHAOS_SEED=n to repeat
 	@CHAOS_POINTS=$(CHAOS_POINTS) $(if $(CHAOS_SEED),CHAOS_SEED=$(CHAOS_SEED)) \

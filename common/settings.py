@@ -13,7 +13,7 @@ from typing import Literal, Self
 from pydantic import field_validator, model_validator
 
 from common.learners import LEARNERS
-from common.settings_kinds import Count, Fraction, Natural, NotNegative, Positive, Section, Seed, Staleness
+from common.settings_kinds import Count, Fraction, Names, Natural, NotNegative, Positive, Section, Seed, Staleness
 from common.settings_rkhs import RkhsSettings, impossibility
 from common.tasks import EPISODE_LENGTH, TASKS, unknown_name
 
@@ -69,8 +69,18 @@ class TransportSettings(Section):
 
     endpoint: str = "tcp/127.0.0.1:7447"
     """where the learner listens and actors connect"""
+    router: bool = False
+    """the endpoint is a Zenoh router's, to which the learner connects like the others"""
     insecure: bool = False
     """allow an endpoint beyond loopback without authentication"""
+    certificates: Path | None = None
+    """folder with ca.crt, tls.crt and tls.key, for tls/ endpoints; `reskpn certs` makes them"""
+    users: Path | None = None
+    """file of user:password lines: all whom the learner lets in, or first of all the one that an actor is"""
+    actor_names: Names = ("actor",)
+    """names, in certificates or of users, that may work for the run"""
+    viewer_names: Names = ("viewer",)
+    """names that may only watch it"""
     queue_bytes: Count = 256 << 20
     """rollouts waiting at the learner before actors are told to wait, in bytes"""
     max_message_bytes: Count = 256 << 20

@@ -24,6 +24,7 @@ Staleness = Annotated[int, BeforeValidator(whole), Field(ge=0, le=4)]  # what is
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+Names = tuple[Annotated[str, Field(min_length=1, max_length=64)], ...]
 
 
 class Section(BaseModel):

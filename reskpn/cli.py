@@ -16,6 +16,9 @@ from common.learners import LEARNERS
 from common.settings import PHYSICS, RunSettings, TransportSettings
 from common.settings_sources import PREFIX, add_options, load, load_over
 from common.tasks import TASKS
+from common.wire.credentials import Credentials
+from reskpn.certs import EPILOG, add_certs_options, certs
+from reskpn.connection import add_connection, over
 from reskpn.resuming import AUTO, run_to_resume, settings_to_resume
 
 EXIT_CODES = """\
@@ -46,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Residual Kernel Policy Network: kernel-policy reinforcement learning as a service.",
     )
     commands = parser.add_subparsers(
-        dest="command", required=True, metavar="{train,learner,actor,evaluator,status,doctor,replay}"
+        dest="command", required=True, metavar="{train,learner,actor,evaluator,status,doctor,replay,certs}"
     )
     _add_train(commands)
     _add_learner(commands)
@@ -55,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _add_status(commands)
     _add_doctor(commands)
     _add_replay(commands)
+    _add_certs(commands)
     given = parser.parse_args(arguments)
     try:
         code: int = given.call(given)
@@ -130,9 +134,10 @@ def _add_actor(commands: Any) -> None:
         from services.actor.service import run_actor
 
         base = load(config=given.config)
+        transport = over(base.transport, given)
         with stopping(supervised=given.supervised) as stop:
             return run_actor(
-                _transport(base, given.endpoint),
+                transport,
                 physics=given.physics or base.physics,
                 run=given.run,
                 threads=given.threads,
@@ -151,7 +156,7 @@ def _add_actor(commands: Any) -> None:
 
 def _add_following(parser: argparse.ArgumentParser, verb: str, service: str) -> None:
     """The options of whoever connects to a learner and needs its own copy of the environments."""
-    parser.add_argument("--endpoint", metavar="ADDRESS", help="where the learner listens, tcp/HOST:PORT")
+    add_connection(parser)
     parser.add_argument("--physics", choices=PHYSICS, help="engine, where the run leaves it to the actor")
     parser.add_argument("--run", default="", help=f"{verb} this run only (default: whichever the learner has)")
     parser.add_argument("--threads", type=int, default=0, help="threads of the native engine (default: one a core)")
@@ -171,10 +176,6 @@ def _add_following(parser: argparse.ArgumentParser, verb: str, service: str) -> 
     parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)
 
 
-def _transport(base: RunSettings, endpoint: str | None) -> TransportSettings:
-    return TransportSettings.model_validate(base.transport.model_dump() | ({"endpoint": endpoint} if endpoint else {}))
-
-
 def _add_evaluator(commands: Any) -> None:
     def call(given: argparse.Namespace) -> int:
         from reskpn.supervised import stopping
@@ -185,7 +186,7 @@ def _add_evaluator(commands: Any) -> None:
         work = Work(given.every, given.episodes, given.positions, physics, given.threads)
         with stopping(supervised=given.supervised) as stop:
             return run_evaluator(
-                _transport(base, given.endpoint),
+                over(base.transport, given),
                 work,
                 run=given.run,
                 connect_timeout_s=given.connect_timeout,
@@ -210,14 +211,17 @@ def _add_status(commands: Any) -> None:
         from reskpn.status import endpoint_of, status
         from reskpn.supervised import stopping
 
-        here = endpoint_of(given.run_dir) if given.run_dir else load().transport.endpoint
+        transport = over(load().transport, given)
+        if given.run_dir and not given.endpoint:
+            transport = transport.model_copy(update={"endpoint": endpoint_of(given.run_dir)})
         with stopping(supervised=False) as stop:
-            return status(given.endpoint or here, as_json=given.json, watch=given.watch, stop=stop)
+            who = Credentials.of(transport)
+            return status(transport.endpoint, as_json=given.json, watch=given.watch, stop=stop, credentials=who)
 
     text = "ask a learner, from any machine that reaches it, how its run and every actor are"
     epilog = f"The environment's {PREFIX}TRANSPORT__ENDPOINT counts as well.\n\n{EXIT_CODES}"
     parser = _command(commands, "status", text, call, epilog)
-    parser.add_argument("--endpoint", metavar="ADDRESS", help="where the learner listens, tcp/HOST:PORT")
+    add_connection(parser)
     parser.add_argument("--run-dir", type=Path, metavar="DIR", help="instead: the directory of its run")
     parser.add_argument("--json", action="store_true", help="one JSON object a line, for machines")
     parser.add_argument("--watch", action="store_true", help="again every second, until Ctrl-C")
@@ -228,9 +232,7 @@ def _add_doctor(commands: Any) -> None:
         from reskpn.doctor.examine import doctor
 
         settings = load(options, given, config=given.config)
-        if given.endpoint:
-            transport = settings.transport.model_copy(update={"endpoint": given.endpoint})
-            settings = settings.model_copy(update={"transport": transport})
+        settings = settings.model_copy(update={"transport": over(settings.transport, given)})
         return doctor(settings, as_json=given.json, full=given.full)
 
     text = "check this machine before a run: versions, devices, memory, disk, port, clock, Zenoh, physics"
@@ -238,7 +240,7 @@ def _add_doctor(commands: Any) -> None:
         commands, "doctor", text, call, _epilog() + "\nThe doctor's exit code is 1 where it finds a problem."
     )
     options: CliSettingsSource[Any] = add_options(parser)
-    parser.add_argument("--endpoint", metavar="ADDRESS", help="short for --transport.endpoint")
+    add_connection(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object, for machines")
     parser.add_argument("--full", action="store_true", help="compile a step with MJX as well (up to a minute)")
 
@@ -259,7 +261,8 @@ def _add_replay(commands: Any) -> None:
         if given.extract is not None:
             return replay.extract_run(given.path, given.extract)
         if given.publish:
-            return replay.publish_run(given.path, given.endpoint, given.rate, given.delay, insecure=given.insecure)
+            transport = over(TransportSettings(insecure=given.insecure), given)
+            return replay.publish_run(given.path, transport, given.rate, given.delay)
         return replay.verify_run(given.path, given.until)
 
     text = "check a recorded run, or make other use of its log"
@@ -281,10 +284,15 @@ def _add_replay_options(parser: argparse.ArgumentParser) -> None:
     add("--until", type=int, metavar="V", help="of --verify: up to this version (default: to the end)")
     add("--format", choices=("parquet",), default="parquet", help="of --extract (default: parquet)")
     add("--rate", type=_rate, default=1.0, metavar="R", help="of --publish: times the run's pace, or max (default: 1)")
-    endpoint = TransportSettings().endpoint
-    add("--endpoint", metavar="ADDRESS", default=endpoint, help=f"of --publish: where to listen (default: {endpoint})")
+    add_connection(parser, "of --publish: ")
     add("--delay", type=float, default=2.0, metavar="S", help="of --publish: time to connect first (default: 2)")
     add("--insecure", action="store_true", help="of --publish: allow an address beyond loopback")
+
+
+def _add_certs(commands: Any) -> None:
+    text = "make the certificates of a run: an authority, and what it vouches for"
+    parser = _command(commands, "certs", text, certs, EPILOG)
+    add_certs_options(parser)
 
 
 def _refuse_strays(given: argparse.Namespace) -> None:

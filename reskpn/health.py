@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from common.errors import ReskpnError, SessionError
+from common.wire.credentials import NOBODY, Credentials
 from services.actor.state_file import OLD_S, read_state
 
 if TYPE_CHECKING:
@@ -47,13 +48,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     learner = services.add_parser("learner")
     learner.add_argument("--endpoint", default="tcp/127.0.0.1:7447", metavar="ADDRESS", help="default: %(default)s")
     learner.add_argument("--timeout", type=float, default=5.0, metavar="S", help="how long to wait (%(default)s)")
+    learner.add_argument("--certificates", type=Path, metavar="DIR", help="those of the learner, or of an actor")
+    learner.add_argument("--users", type=Path, metavar="FILE", help="with a user:password that the learner lets in")
     for name in ("actor", "evaluator"):
         follower = services.add_parser(name)
         follower.add_argument("--state-file", type=Path, required=True, metavar="FILE", help="as it was given to it")
     given = parser.parse_args(arguments)
     try:
         if given.service == "learner":
-            health = learner_health(given.endpoint, given.timeout)
+            health = learner_health(given.endpoint, given.timeout, Credentials(given.certificates, given.users))
         else:
             health = follower_health(given.service, given.state_file)
     except ReskpnError as error:
@@ -63,13 +66,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if health.good else 1
 
 
-def learner_health(endpoint: str, timeout_s: float) -> Health:
+def learner_health(endpoint: str, timeout_s: float, credentials: Credentials = NOBODY) -> Health:
     """Whether the learner at the endpoint answers those who want to join, asked as an actor asks."""
     from common.wire.session import open_session
 
     deadline = time.monotonic() + timeout_s
     try:
-        with open_session(connect=[endpoint], connect_timeout_s=timeout_s, max_message_size=MESSAGE_BYTES) as session:
+        with open_session(
+            connect=[endpoint],
+            connect_timeout_s=timeout_s,
+            max_message_size=MESSAGE_BYTES,
+            credentials=credentials,
+        ) as session:
             reply = _ask(session, deadline)
     except ReskpnError as error:
         return Health(False, f"the learner takes no joins: {error}")

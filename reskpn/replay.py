@@ -13,7 +13,7 @@ from common.recorded.ahead import ahead
 from common.recorded.origins import bits_can_differ, differences
 from common.recorded.run import RecordedRun, open_run, origin
 from common.run_directory import SUMMARY, claim_run_dir, default_run_dir
-from common.settings import RunSettings
+from common.settings import RunSettings, TransportSettings
 
 LINES = 10
 """Lines of metrics that are printed while a second learner trains."""
@@ -102,28 +102,39 @@ def train_into(path: Path, choose: Callable[[RunSettings], RunSettings]) -> int:
     return 0
 
 
-def publish_run(path: Path, endpoint: str, rate: float | None, delay_s: float, *, insecure: bool) -> int:
+def publish_run(path: Path, transport: TransportSettings, rate: float | None, delay_s: float) -> int:
     """Play a recorded run on the keys it had. Returns 0, or 130 where it was stopped by a signal.
 
     Raises:
-        SettingsError: the endpoint is open to other machines and `insecure` was not said.
+        SettingsError: other machines reach the endpoint, it asks nobody who he is, and `insecure` was not said.
     """
+    from common.wire.credentials import Credentials
     from common.wire.endpoint import is_loopback
     from reskpn.supervised import stopping
     from services.player.service import run_player
 
     run = open_run(path)
     total = updates_to_read(run, None)
-    if not is_loopback(endpoint) and not insecure:
+    endpoint, credentials = transport.endpoint, Credentials.of(transport)
+    if not (is_loopback(endpoint) or transport.insecure or credentials.authenticate(endpoint)):
         raise SettingsError(
             f"--endpoint {endpoint} can be reached from other machines and has no authentication; listen on "
-            "tcp/127.0.0.1:<port>, or say --insecure if the network is trusted"
+            "tcp/127.0.0.1:<port>, or on tls/<host>:<port> with --certificates, give --users, or say --insecure if the "
+            "network is trusted"
         )
     pace = "as fast as possible" if rate is None else f"at {rate:g} times its pace"
     print(f"{run.run}: playing {total} updates {pace}; listening on {endpoint}", flush=True)
     with stopping(supervised=False) as stop, progress_bar() as bar:
         task = bar.add_task("playing", total=total)
-        ended = run_player(run, endpoint, rate=rate, delay_s=delay_s, stop=stop, on_update=lambda _: bar.advance(task))
+        ended = run_player(
+            run,
+            endpoint,
+            credentials=credentials,
+            rate=rate,
+            delay_s=delay_s,
+            stop=stop,
+            on_update=lambda _: bar.advance(task),
+        )
     print(f"{run.run}: {'played to the end' if ended else 'stopped'}")
     return 0 if ended else INTERRUPTED
 

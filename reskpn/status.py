@@ -14,6 +14,7 @@ from rich.live import Live
 from common.errors import SessionError, SettingsError
 from common.printable import printable
 from common.run_directory import SETTINGS
+from common.wire.credentials import NOBODY, Credentials
 from common.wire.keys import STATUS
 from common.wire.report import MAX_REPORT_BYTES, RunReport
 from common.wire.session import Session, open_session
@@ -29,7 +30,9 @@ PLAIN_WIDTH = 160
 _RETRY = threading.Event()  # never set: between two questions nothing here can end the wait early
 
 
-def status(endpoint: str, *, as_json: bool, watch: bool, stop: threading.Event) -> int:
+def status(
+    endpoint: str, *, as_json: bool, watch: bool, stop: threading.Event, credentials: Credentials = NOBODY
+) -> int:
     """Print the report of the learner at `endpoint`; with `watch` every second until `stop` is set. Returns 0.
 
     Raises:
@@ -38,7 +41,7 @@ def status(endpoint: str, *, as_json: bool, watch: bool, stop: threading.Event) 
     """
     # Where nobody looks at it while it is written, its lines are not broken.
     console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=PLAIN_WIDTH)
-    with connect(endpoint) as session:
+    with connect(endpoint, credentials=credentials) as session:
         report = ask(session, endpoint)
         if not watch:
             _print(console, report, as_json=as_json)
@@ -56,12 +59,13 @@ def status(endpoint: str, *, as_json: bool, watch: bool, stop: threading.Event) 
     return 0
 
 
-def connect(endpoint: str, timeout_s: float = CONNECT_S) -> Session:
+def connect(endpoint: str, timeout_s: float = CONNECT_S, credentials: Credentials = NOBODY) -> Session:
     """A session with whoever listens at `endpoint`; SessionError within the time where nobody does."""
     return open_session(
         connect=[endpoint],
         connect_timeout_s=timeout_s,
         max_message_size=MAX_REPORT_BYTES,
+        credentials=credentials,
         # Closing waits for a connection that is being made: 10 s with a program that says nothing.
         options={"transport/unicast/open_timeout": round(1000 * timeout_s)},
     )
@@ -83,7 +87,8 @@ def ask(session: Session, endpoint: str, timeout_s: float = CONNECT_S) -> RunRep
             if time.monotonic() >= deadline:
                 raise SessionError(
                     f"something listens at {endpoint} but does not answer as a learner: it is still starting, "
-                    "stopped or of an older release, or another program has the port"
+                    "stopped or of an older release, another program has the port, or the name in this certificate, "
+                    "or this user, may not watch the run (transport.viewer_names there)"
                 ) from None
         _RETRY.wait(0.1)
 

@@ -42,6 +42,7 @@ def train(settings: RunSettings, *, resume: bool = False) -> int:
         SettingsError: the run directory holds another run, or cannot be written.
         ProcessError: an actor cannot be kept alive.
     """
+    _refuse_certificates(settings)
     settings = resolved(settings)
     run_dir = settings.run_dir if resume else claim_run_dir(settings)
     with ExitStack() as stack:
@@ -68,6 +69,15 @@ def train(settings: RunSettings, *, resume: bool = False) -> int:
             flush=True,
         )
         return 128 - learner.returncode
+
+
+def _refuse_certificates(settings: RunSettings) -> None:
+    """A process has one name; a learner's has no right to work as an actor."""
+    if settings.transport.certificates is not None:
+        raise SettingsError(
+            "transport.certificates are those of one process, and train starts several: use `reskpn learner` and "
+            "`reskpn actor`, each with its own, or leave them out, since train needs none on this machine"
+        )
 
 
 def resolved(settings: RunSettings) -> RunSettings:
@@ -126,7 +136,10 @@ class Crew:
     def _start(self, post: Post) -> None:
         self._words(post).parent.mkdir(exist_ok=True)
         threads = max(1, len(os.sched_getaffinity(0)) // self.settings.actors)
-        command = [*_reskpn("actor"), "--endpoint", self.settings.transport.endpoint, "--threads", str(threads)]
+        transport = self.settings.transport
+        command = [*_reskpn("actor"), "--endpoint", transport.endpoint, "--threads", str(threads)]
+        if transport.users is not None:
+            command += ["--users", str(transport.users)]
         with self._words(post).open("ab") as words:
             post.process = _start(command, output=words.fileno())
         post.started_s = time.monotonic()

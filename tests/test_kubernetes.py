@@ -12,7 +12,6 @@ import kubernetes_validate
 import pytest
 import yaml
 
-from common.settings import TransportSettings
 from common.settings_sources import load
 from reskpn import cli, health
 from scripts.document_environment import OWN, passed_on
@@ -167,7 +166,7 @@ def test_followers_find_the_learner(documents: list[Document]) -> None:
 
 def test_the_settings_are_possible(documents: list[Document]) -> None:
     """Each variable is a setting, each value is taken, and nothing opens the learner to who has no certificate."""
-    known = {line for line in passed_on().splitlines() if line.startswith("RESKPN_")} | OWN | {CERTIFICATES}
+    known = {line for line in passed_on().splitlines() if line.startswith("RESKPN_")} | OWN
     for service in SERVICES:
         given = environment(documents, service)
         assert set(given) <= known
@@ -175,8 +174,6 @@ def test_the_settings_are_possible(documents: list[Document]) -> None:
             mount["name"]: mount["mountPath"] for mount in container(workloads(documents)[service])["volumeMounts"]
         }
         assert given[CERTIFICATES] == mounts["certificates"]
-        if "certificates" not in TransportSettings.model_fields:
-            del given[CERTIFICATES]
         settings = load(environment=given)
         assert settings.transport.insecure is False
         assert str(settings.run_dir).startswith("/data/runs/")

@@ -9,50 +9,22 @@ Handlers run on threads of Zenoh, one for each declaration, and must not block. 
 from __future__ import annotations
 
 import json
-import logging
-import re
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import TracebackType
 from typing import Any, Self
 
 import zenoh
 
 from common.errors import SessionError
-from common.wire.endpoint import Endpoint
-from common.wire.zenoh_settings import zenoh_settings
-
-OnError = Callable[[str, Exception], None]
-"""(key, what a handler raised)."""
+from common.wire.credentials import NOBODY, Credentials
+from common.wire.diagnosis import cannot_open, no_connection, plain, unserved, why_no_connection
+from common.wire.handlers import OnError, Request, check_size, guarded, log_error
+from common.wire.zenoh_settings import CLIENT, ZENOH_LOG, zenoh_settings
 
 _POLL_S = 0.01
-
-
-def log_error(key: str, error: Exception) -> None:
-    """The default `on_error`: Python's logging, with the traceback."""
-    logging.getLogger(__name__).error("a handler of %s failed", key, exc_info=error)
-
-
-class Request:
-    """A question that waits for one answer, which any thread may give at any time.
-
-    The asker's wait ends when the request is answered or dropped, or its handler raises.
-    """
-
-    __slots__ = ("_answer", "_answered", "key", "payload")
-
-    def __init__(self, key: str, payload: bytes, answer: Callable[[bytes], None]) -> None:
-        self.key = key
-        self.payload = payload
-        self._answer = answer
-        self._answered = threading.Lock()
-
-    def reply(self, data: bytes) -> None:
-        """Answer; an asker that is gone or has stopped waiting is no error. `RuntimeError` the second time."""
-        if not self._answered.acquire(blocking=False):
-            raise RuntimeError(f"a request on {self.key} was answered twice")
-        self._answer(data)
 
 
 class Publisher:
@@ -72,7 +44,7 @@ class Publisher:
         try:
             self._publisher.put(data)
         except zenoh.ZError as error:
-            raise SessionError(f"cannot publish on {self._key}: {_text(error)}") from error
+            raise SessionError(f"cannot publish on {self._key}: {plain(error)}") from error
 
 
 class Session:
@@ -81,10 +53,13 @@ class Session:
     Use it as a context manager: the threads of a session that is not closed keep the process from ending.
     """
 
-    def __init__(self, session: zenoh.Session, max_message_size: int, on_error: OnError) -> None:
+    def __init__(
+        self, session: zenoh.Session, max_message_size: int, on_error: OnError, explain: Callable[[], str]
+    ) -> None:
         self._session = session
         self._max_message_size = max_message_size
         self._on_error = on_error
+        self._explain = explain
         self._lock = threading.Lock()
         self._held: list[Any] = []  # Zenoh undeclares what nobody refers to
         self._queriers: dict[tuple[str, float], zenoh.Querier] = {}
@@ -102,7 +77,7 @@ class Session:
                     with query:  # ends the asker's wait now, not when this object is collected
                         query.reply(key, data)
                 except zenoh.ZError as error:
-                    raise SessionError(f"cannot answer on {key}: {_text(error)}") from error
+                    raise SessionError(f"cannot answer on {key}: {plain(error)}") from error
 
             try:
                 handler(Request(key, b"" if payload is None else payload.to_bytes(), answer))
@@ -170,6 +145,20 @@ class Session:
             lambda: self._session.liveliness().declare_subscriber(key, self._guarded(key, on_token), history=True)
         )
 
+    def watch_names(self, handler: Callable[[str], None]) -> None:
+        """Call `handler(name)` with the name in the certificate of everyone who connects with one."""
+
+        def on_link(event: zenoh.LinkEvent) -> None:
+            name = event.link.auth_identifier
+            if name is not None and event.kind == zenoh.SampleKind.PUT:
+                handler(name)
+
+        self._hold(lambda: self._session.info.declare_link_events_listener(self._guarded("names", on_link)))
+
+    def explain(self) -> str:
+        """Why nobody answers, as far as can be found out within seconds, for a person; empty for who only listens."""
+        return self._explain()
+
     def close(self) -> None:
         """End all that was declared; may be called again and from a handler."""
         with self._lock:
@@ -201,26 +190,16 @@ class Session:
         try:
             declared = declare()
         except zenoh.ZError as error:
-            raise SessionError(f"cannot use this session: {_text(error)}") from error
+            raise SessionError(f"cannot use this session: {plain(error)}") from error
         with self._lock:
             self._held.append(declared)
         return declared
 
     def _guarded(self, key: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        def guarded(item: Any) -> None:
-            try:
-                callback(item)
-            except Exception as error:
-                self._on_error(key, error)
-
-        return guarded
+        return guarded(key, callback, self._on_error)
 
     def _check_size(self, key: str, data: bytes) -> None:
-        if len(data) > self._max_message_size:
-            raise SessionError(
-                f"a message of {len(data):,} bytes on {key}; {self._max_message_size:,} are allowed: "
-                "make rollouts smaller or raise the limit on both sides"
-            )
+        check_size(key, data, self._max_message_size)
 
 
 def open_session(
@@ -230,61 +209,91 @@ def open_session(
     connect_timeout_s: float | None = None,
     max_message_size: int,
     lease_s: float = 2.0,
+    credentials: Credentials = NOBODY,
     options: Mapping[str, object] | None = None,
     on_error: OnError = log_error,
+    router: bool = False,
+    give_up: Callable[[], bool] = lambda: False,
 ) -> Session:
     """Open a session that listens on, or connects to, endpoints such as `tcp/127.0.0.1:7447`.
 
     `connect_timeout_s=None` returns at once and goes on trying to connect for ever; until then `ask` finds nobody.
-    `max_message_size` is in bytes, of one message. A peer that is silent for `lease_s` counts as gone. `options` are
-    further settings of Zenoh by path, as `{"transport/link/tls/root_ca_certificate": "ca.pem"}`.
+    `max_message_size` is in bytes, of one message. A peer that is silent for `lease_s` counts as gone. `credentials`
+    say who this process is and whom it lets in. `options` are further settings of Zenoh by path. `router`: it connects
+    to a router, and waits for it, for ever too, unless `give_up()`; who has a timeout finds out by himself.
 
-    Raises `SessionError`: not an address, an address that cannot be listened on, no connection within the time.
+    Raises `SessionError`: not an address, an address that cannot be listened on, no connection within the time; and
+    `SettingsError` where the credentials cannot be used.
     """
-    for endpoint in (*listen, *connect):
-        Endpoint.parse(endpoint)
-    settings = {**zenoh_settings(listen, connect, max_message_size, lease_s), **(options or {})}
+    known = credentials.options(listen, connect)
+    settings = {**zenoh_settings(listen, connect, max_message_size, lease_s), **known, **(options or {})}
+    wait_s = connect_timeout_s
+    if not router:
+        session = _open(settings, listen)
+        if connect and wait_s is not None:
+            _wait_connected(session, connect, wait_s, credentials)
+            router = bool(session.info.routers_zid())
+            if router:  # who passes nothing on between peers
+                session.close()
+    if router:
+        session = _open_client(settings, connect, wait_s, credentials, give_up)
+    return Session(session, max_message_size, on_error, partial(_explain, session, tuple(connect), credentials))
+
+
+def _open(settings: Mapping[str, object], listen: Sequence[str]) -> zenoh.Session:
     config = zenoh.Config()
     for path, value in settings.items():
         try:
             config.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
-            raise SessionError(f"Zenoh has no setting {path} = {value!r}: {_text(error)}") from error
+            raise SessionError(f"Zenoh has no setting {path} = {value!r}: {plain(error)}") from error
     try:
-        session = zenoh.open(config)
+        return zenoh.open(config)
     except zenoh.ZError as error:
-        raise SessionError(_cannot_open(listen, _text(error))) from error
-    if connect and connect_timeout_s is not None:
-        _wait_connected(session, connect, connect_timeout_s)
-    return Session(session, max_message_size, on_error)
+        raise SessionError(cannot_open(listen, plain(error))) from error
 
 
-def _wait_connected(session: zenoh.Session, connect: Sequence[str], timeout_s: float) -> None:
+def _open_client(
+    settings: dict[str, object],
+    connect: Sequence[str],
+    timeout_s: float | None,
+    credentials: Credentials,
+    give_up: Callable[[], bool],
+) -> zenoh.Session:
+    """Of a router. Zenoh cannot be interrupted while it connects a client, so it is asked again and again."""
+    deadline = None if timeout_s is None else time.monotonic() + timeout_s
+    while True:
+        try:
+            return _open(settings | CLIENT, ())
+        except SessionError:
+            if deadline is not None and time.monotonic() >= deadline:
+                raise SessionError(no_connection(connect, timeout_s or 0.0, credentials)) from None
+            if give_up():
+                raise SessionError(f"stopped before there was a connection to {', '.join(connect)}") from None
+
+
+def _wait_connected(session: zenoh.Session, connect: Sequence[str], timeout_s: float, credentials: Credentials) -> None:
     deadline = time.monotonic() + timeout_s
     try:
-        while not (session.info.peers_zid() or session.info.routers_zid()):
+        while not _connected(session):
             if time.monotonic() >= deadline:
-                raise SessionError(
-                    f"no connection to {', '.join(connect)} within {timeout_s:g} s. Likely causes: no learner is "
-                    "running there; the address or the port is wrong; a firewall drops the connection; one side "
-                    "speaks TLS and the other does not, or a certificate, user or password was not accepted"
-                )
+                raise SessionError(no_connection(connect, timeout_s, credentials))
             time.sleep(_POLL_S)
     except BaseException:
         session.close()
         raise
 
 
-def _cannot_open(listen: Sequence[str], text: str) -> str:
-    where = ", ".join(listen)
-    if "Address already in use" in text:
-        ports = ", ".join(str(Endpoint.parse(endpoint).port) for endpoint in listen)
-        return f"port {ports} of {where} is in use: stop the process that has it, or choose another port to listen on"
-    if "Cannot assign requested address" in text or "failed to lookup" in text:
-        return f"{where} is not an address of this machine: listen on 127.0.0.1, 0.0.0.0 or one of its own addresses"
-    return f"cannot open a Zenoh session{f' on {where}' if where else ''}: {text}"
+def log_refused_connections() -> None:
+    """From now on standard output gets a line, for `common.wire.refusals`, for each connection that is refused."""
+    zenoh.init_log_from_env_or(ZENOH_LOG)
 
 
-def _text(error: zenoh.ZError) -> str:
-    """Zenoh's sentence without the places in its source code."""
-    return re.sub(r"\s*at /\S+\.rs:\d+\.?", "", str(error)).strip()
+def _connected(session: zenoh.Session) -> bool:
+    return bool(session.info.peers_zid() or session.info.routers_zid())
+
+
+def _explain(session: zenoh.Session, connect: Sequence[str], credentials: Credentials) -> str:
+    if not connect or session.is_closed():
+        return ""
+    return unserved(connect[0]) if _connected(session) else why_no_connection(connect[0], credentials)

@@ -6,6 +6,12 @@ from collections.abc import Sequence
 
 _RETRY_MS = 100
 _STALL_US = 30_000_000  # how long a reader may stall before its connection is closed; Zenoh's own 5 s lose data
+CLIENT: dict[str, object] = {"mode": "client", "connect/timeout_ms": 500}
+"""Over the others, for a client of a router: one attempt at connecting."""
+
+ZENOH_LOG = "off,zenoh_link_tls::unicast=warn,zenoh_transport::unicast::establishment::accept=debug"
+"""What Zenoh is to log so that connections it refuses can be seen."""
+
 _FRAMING_BYTES = 64 * 1024  # Zenoh's limit counts its own headers
 
 

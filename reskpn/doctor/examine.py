@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from functools import cache
 
-from common.settings import RunSettings
+from common.settings import RunSettings, TransportSettings
+from common.wire.credentials import Credentials
 from reskpn.doctor.engines import check_jax, check_mjx, check_native, state_sizes
 from reskpn.doctor.findings import Finding, guarded
 from reskpn.doctor.machine import check_disk, check_memory, check_packages, check_python, check_writing
@@ -45,7 +46,7 @@ def examine(settings: RunSettings, *, full: bool) -> Iterator[Finding]:
     yield guarded("memory", lambda: check_memory(needed()))
     yield guarded("disk", lambda: check_disk(settings, needed()))
     yield guarded("writing", lambda: check_writing(settings))
-    port, answer = _port(settings.transport.endpoint)
+    port, answer = _port(settings.transport)
     yield port
     yield guarded("clock", lambda: check_clock(answer))
     yield guarded("zenoh", check_zenoh)
@@ -53,11 +54,11 @@ def examine(settings: RunSettings, *, full: bool) -> Iterator[Finding]:
     yield guarded("mjx", lambda: check_mjx(full=full))
 
 
-def _port(endpoint: str) -> tuple[Finding, Answer | None]:
+def _port(transport: TransportSettings) -> tuple[Finding, Answer | None]:
     answers: list[Answer | None] = []
 
     def check() -> Finding:
-        finding, answer = check_port(endpoint)
+        finding, answer = check_port(transport.endpoint, Credentials.of(transport))
         answers.append(answer)
         return finding
 

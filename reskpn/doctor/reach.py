@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from common.errors import CodecError, SessionError, WireError
 from common.printable import printable
+from common.wire.credentials import NOBODY, Credentials
 from common.wire.endpoint import Endpoint, free_port
 from common.wire.report import RunReport
 from common.wire.session import Session, open_session
@@ -38,9 +39,9 @@ class Answer:
     unsure_s: float
 
 
-def ask_learner(endpoint: str, timeout_s: float = CONNECT_S) -> Answer:
+def ask_learner(endpoint: str, timeout_s: float = CONNECT_S, credentials: Credentials = NOBODY) -> Answer:
     """Raises `WireError` where no learner answers."""
-    with connect(endpoint, timeout_s) as session:
+    with connect(endpoint, timeout_s, credentials) as session:
         ask(session, endpoint, timeout_s)  # what is served there is known from here on: the next takes one round trip
         asked_ns = time.time_ns()
         report = ask(session, endpoint, timeout_s)
@@ -49,15 +50,19 @@ def ask_learner(endpoint: str, timeout_s: float = CONNECT_S) -> Answer:
     return Answer(report, (report.t_ns - middle_ns) / 1e9, (answered_ns - asked_ns) / 2e9)
 
 
-def check_port(endpoint: str) -> tuple[Finding, Answer | None]:
-    """Whether a learner can listen there, or which one does. SessionError for what is not an address."""
+def check_port(endpoint: str, credentials: Credentials = NOBODY) -> tuple[Finding, Answer | None]:
+    """Whether a learner can listen there, or which one does.
+
+    Raises `SessionError` for what is not an address, and `SettingsError` for credentials that cannot be used there.
+    """
+    credentials.options([], [endpoint])
     state = port_state(Endpoint.parse(endpoint))
     if state == "free":
         return Finding("port", "ok", f"{endpoint} is free: no learner is there, one can be started"), None
     if state == "unknown":
         return Finding("port", "problem", f"the host of {endpoint} is not known", "check its name"), None
     try:
-        answer = ask_learner(endpoint)
+        answer = ask_learner(endpoint, credentials=credentials)
     except CodecError as error:
         return Finding("port", "problem", f"{endpoint}: {error}"), None
     except WireError as error:

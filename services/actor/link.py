@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from common.errors import CodecError, RefusedError, SessionError
-from common.settings import RunSettings
+from common.settings import RunSettings, TransportSettings
 from common.settings_sources import parse_json
+from common.wire.credentials import Credentials
 from common.wire.keys import JOIN, Keys, parse_alive
 from common.wire.messages import (
     Environment,
@@ -23,11 +24,16 @@ from common.wire.messages import (
     Rollout,
     Snapshot,
 )
-from common.wire.session import Session
+from common.wire.session import Session, open_session
 
 JOIN_TIMEOUT_S = 5.0
 RETRY_S = 0.25
 BUSY_S = 0.05
+INCARNATION_BYTES = 16
+"""Whoever knows an incarnation can act for it: it must not be guessed, not even from its beginning, which is shown."""
+
+EXPLAIN_EVERY = 20
+"""Questions without an answer after which it is looked into, and said, why."""
 
 
 class Lost(Exception):
@@ -44,6 +50,24 @@ class Membership:
     incarnation: str
     settings: RunSettings
     restore: bool = False
+
+
+def connect(transport: TransportSettings, timeout_s: float | None, stop: threading.Event) -> Session:
+    """A session with the learner at `transport.endpoint`; to be closed.
+
+    Raises:
+        SessionError: none within the time, or `stop` was set first.
+        SettingsError: the credentials are no use.
+    """
+    return open_session(
+        connect=[transport.endpoint],
+        connect_timeout_s=timeout_s,
+        max_message_size=transport.max_message_bytes,
+        lease_s=transport.lease_s,
+        credentials=Credentials.of(transport),
+        router=transport.router,
+        give_up=stop.is_set,
+    )
 
 
 def join(
@@ -70,15 +94,18 @@ def join(
     Raises:
         RefusedError: the learner will never take this actor (another schema or run).
     """
-    told = ""
+    told, alone, lonely = "", 0, "no learner answers yet"
     while not stop.is_set():
         # A fresh incarnation each time: an answer that got lost must not leave two lives with one name.
-        incarnation = secrets.token_hex(8)
+        incarnation = secrets.token_hex(INCARNATION_BYTES)
         question = Join(run, role, incarnation, versions, hardware, physics)
         try:
             reply = JoinReply.decode(session.ask(JOIN, question.encode(), JOIN_TIMEOUT_S))
         except SessionError:
-            state, reason = "alone", "no learner answers yet"
+            alone += 1
+            if alone % EXPLAIN_EVERY == 0:
+                lonely = f"no learner answers yet: {session.explain()}"
+            state, reason = "alone", lonely
         except CodecError as error:
             raise RefusedError(f"the learner speaks another protocol: {error}") from None
         else:

@@ -16,11 +16,11 @@ from common.physics.engines import resolve_physics
 from common.runtime import hardware, prepare_jax, software_versions
 from common.settings import TransportSettings
 from common.wire.messages import Environment, Evaluation, Orders, Rollout, digest_arrays
-from common.wire.session import Session, open_session
+from common.wire.session import Session
 from services.actor.collector import Collector, Place, PolicyReader
 from services.actor.deterministic import evaluate
 from services.actor.heartbeat import NO_POLICY, Heart
-from services.actor.link import Link, Lost, Membership, join
+from services.actor.link import Link, Lost, Membership, connect, join
 from services.actor.state_file import state_keeper
 
 ORDERS_S = 0.5
@@ -64,12 +64,7 @@ def run_actor(
     versions, machine = software_versions(), hardware()
     while not stop.is_set():
         # A session of its own for every life: nothing of an earlier one is declared on it.
-        with open_session(
-            connect=[transport.endpoint],
-            connect_timeout_s=connect_timeout_s,
-            max_message_size=transport.max_message_bytes,
-            lease_s=transport.lease_s,
-        ) as session:
+        with connect(transport, connect_timeout_s, stop) as session:
             member = join(
                 session,
                 run=run,

@@ -21,10 +21,10 @@ from common.runtime import hardware, prepare_jax, software_versions
 from common.settings import TransportSettings
 from common.wire.assessment import MAX_EPISODES, MAX_POSITIONS, Assessment
 from common.wire.messages import Orders
-from common.wire.session import Session, open_session
+from common.wire.session import Session
 from services.actor.collector import PolicyReader
 from services.actor.deterministic import DeterministicEpisodes
-from services.actor.link import Lost, Membership, join
+from services.actor.link import Lost, Membership, connect, join
 from services.actor.state_file import state_keeper
 from services.evaluator.link import EvaluatorLink
 from services.evaluator.pulse import Pulse
@@ -98,12 +98,7 @@ def run_evaluator(
         jax.config.update("jax_cpu_enable_async_dispatch", False)
         engine = resolve_physics(work.physics)
         while not stop.is_set():
-            with open_session(
-                connect=[transport.endpoint],
-                connect_timeout_s=connect_timeout_s,
-                max_message_size=transport.max_message_bytes,
-                lease_s=transport.lease_s,
-            ) as session:
+            with connect(transport, connect_timeout_s, stop) as session:
                 member = _join(session, run, engine, stop, say, pulse)
                 if member is None:
                     return 0

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import asdict, dataclass, field
 
-from common.printable import printable
+from common.printable import printable, shortened
 from common.settings import RunSettings
 from common.wire.messages import PushReply
 from common.wire.report import LONGEST, ActorReport, Progress, RefusalReport, RunReport, Totals, VacancyReport
@@ -90,6 +90,11 @@ class Census:
         self._refused.setdefault(kind, Counter())[reason] += 1
         self._last = _Refusal(kind, reason, printable(text, 300), now_s)
 
+    def turned_off(self, reason: str, text: str, now_s: float) -> bool:
+        """A connection was refused; whether for the first time for this reason."""
+        self.refused("connection", reason, text, now_s)
+        return self._refused["connection"][reason] == 1
+
     def _count(self, slot: str, what: str) -> None:
         self._answers[what] += 1
         if slot.isdecimal() and len(slot) < 10 and int(slot) < len(self._places):
@@ -138,7 +143,7 @@ class Census:
         return ActorReport(
             slot=slot,
             generation=member.generation,
-            incarnation=member.incarnation,
+            incarnation=shortened(member.incarnation),
             host=self._places[slot].host,
             state=member.state,
             state_s=member.state_s + heard_s,

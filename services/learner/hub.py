@@ -210,6 +210,13 @@ class Hub:
             evaluators, evaluation = self.evaluators.report()
             return report.model_copy(update={"evaluators": evaluators, "evaluation": evaluation})
 
+    def turned_off(self, reason: str, text: str) -> None:
+        """Somebody was refused at the door, or may do nothing here."""
+        with self._changed:
+            first = self._census.turned_off(reason, text, time.monotonic())
+        if first:
+            self._on_event("warning", "connection_refused", f"{text}; `reskpn status` counts how often")
+
     def waiting_for(self) -> str:
         """Which slots' rollouts are missing, and why; empty where none is."""
         with self._changed:

@@ -20,6 +20,7 @@ from services.learner.checkpoints import Checkpoints, KeptEnvironments
 from services.learner.display import Display, Status
 from services.learner.evaluations import scalars as evaluation_scalars
 from services.learner.hub import Hub, make_snapshot
+from services.learner.public import public_update
 from services.learner.scalars import Scalars
 from services.learner.statistics import Episodes, actor_seconds
 from services.learner.trainer import Trainer
@@ -252,7 +253,7 @@ class Run:
             "staleness": step.staleness,
         }
         self._log.write("/update", update)
-        self._hub.publish_metrics(encode_json(update))
+        self._hub.publish_metrics(encode_json(public_update(update)))
         self._scalars.add(
             self.env_steps,
             step.metrics

@@ -17,12 +17,13 @@ from common.physics.assets import model_xml
 from common.run_directory import SETTINGS, SUMMARY, prepare_run_dir, write_json
 from common.runtime import hardware, prepare_jax, software_versions, source_commit
 from common.settings import RunSettings
+from common.wire.credentials import Credentials
 from common.wire.endpoint import is_loopback
 from common.wire.messages import Evaluation
-from common.wire.session import open_session
 from services.learner.again import Again
 from services.learner.checkpoints import Checkpoints
 from services.learner.display import Display, make_display
+from services.learner.door import make_door, open_to_actors
 from services.learner.evaluations import OF_THE_RUN, eval_record
 from services.learner.evaluations import scalars as evaluation_scalars
 from services.learner.hub import Hub
@@ -48,13 +49,8 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
     prepare_jax()
     keep_large_blocks()
     with ExitStack() as stack:
-        session = stack.enter_context(
-            open_session(
-                listen=[settings.transport.endpoint],
-                max_message_size=settings.transport.max_message_bytes,
-                lease_s=settings.transport.lease_s,
-            )
-        )
+        door = stack.enter_context(make_door(settings.transport))
+        session = stack.enter_context(open_to_actors(settings.transport))
         # Only now: an address that is in use leaves no directory behind that looks like a run.
         run_dir, resumption = _begin(settings, resume=resume)
         run = resumption.run
@@ -77,6 +73,7 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
             events.add("info", "resumed", note)
         environments = resumption.logged_environments
         hub = Hub(run, settings, session, log, events.add, starts=resumption.starts, logged_environments=environments)
+        door.watch(session, hub.turned_off)
         trainer = Trainer(settings)
         if resumption.arrays is not None:
             trainer.restore(resumption.arrays)
@@ -138,12 +135,16 @@ class Events:
 
 
 def refuse_open_doors(settings: RunSettings) -> None:
-    endpoint = settings.transport.endpoint
-    if not is_loopback(endpoint) and not settings.transport.insecure:
-        raise SettingsError(
-            f"transport.endpoint {endpoint} can be reached from other machines and has no authentication; listen on "
-            "tcp/127.0.0.1:<port>, or say --transport.insecure true if the network is trusted"
-        )
+    """SettingsError where other machines reach a learner that does not ask who they are."""
+    transport = settings.transport
+    known = Credentials.of(transport).authenticate(transport.endpoint)
+    if known or is_loopback(transport.endpoint) or transport.insecure:
+        return
+    raise SettingsError(
+        f"transport.endpoint {transport.endpoint} can be reached from other machines and has no authentication; "
+        "listen on tcp/127.0.0.1:<port>, or on tls/<host>:<port> with --transport.certificates (`reskpn certs` makes "
+        "them), or give --transport.users, or say --transport.insecure true if the network is trusted"
+    )
 
 
 def _open_log(run: str, settings: RunSettings, run_dir: Path, on_error: Any) -> LogWriter:

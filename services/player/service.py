@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 from common.log.reader import LogMessage
 from common.recorded.ahead import ahead
 from common.recorded.run import RecordedRun, RecordedUpdate
+from common.wire.access import Names, listening_only
+from common.wire.credentials import NOBODY, Credentials
 from common.wire.messages import Rollout
 from common.wire.session import open_session
 from services.player.player import Player
@@ -23,6 +25,7 @@ def run_player(
     run: RecordedRun,
     endpoint: str,
     *,
+    credentials: Credentials = NOBODY,
     rate: float | None,
     delay_s: float,
     stop: threading.Event,
@@ -32,6 +35,7 @@ def run_player(
 
     Args:
         endpoint: where subscribers connect.
+        credentials: who may do so: the run's actors and viewers, by their names.
         rate: speed as a multiple of the run's; None for as fast as subscribers take it.
         delay_s: time for subscribers to connect before the first message.
 
@@ -40,7 +44,12 @@ def run_player(
         LogReadError: the log is damaged.
     """
     size = run.settings.transport.max_message_bytes
-    with open_session(listen=[endpoint], max_message_size=size) as session, ahead(run.messages()) as messages:
+    access = {}
+    if credentials.authenticate(endpoint):
+        names = Names(run.settings.transport.actor_names, run.settings.transport.viewer_names)
+        access = listening_only(names, by_password=credentials.users is not None)
+    line = open_session(listen=[endpoint], max_message_size=size, credentials=credentials, options=access)
+    with line as session, ahead(run.messages()) as messages:
         player = Player(run, session)
         if stop.wait(delay_s):
             return False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from common.printable import printable
+from common.printable import printable, shortened
 
 
 @pytest.mark.parametrize(
@@ -26,3 +26,10 @@ def test_long_texts_are_cut() -> None:
     """At the limit, which the dots count to."""
     assert printable("x" * 10, 10) == "x" * 10
     assert printable("x" * 11, 10) == "x" * 7 + "..."
+
+
+def test_the_secret_part_of_an_incarnation_is_not_shown() -> None:
+    """Of one that an actor made, 32 hex digits, the first 8; names that were never secret stay."""
+    assert shortened("0123456789abcdef" * 2) == "01234567"
+    assert shortened("worker-1") == "worker-1"
+    assert shortened("x" * 40) == "x" * 40

@@ -97,6 +97,13 @@ def test_an_endpoint_that_was_asked_for_is_kept() -> None:
         assert resolved(asked).transport.endpoint == endpoint
 
 
+def test_certificates_are_of_one_process(tmp_path: Path) -> None:
+    """`train` starts several, which cannot all be the learner."""
+    settings = load(environment={"RESKPN_TRANSPORT__CERTIFICATES": str(tmp_path)})
+    with pytest.raises(SettingsError, match=r"use `reskpn learner` and `reskpn actor`, each with its own"):
+        train(settings)
+
+
 def test_everything_else_stays(tmp_path: Path) -> None:
     """Nothing but the directory and the endpoint is changed."""
     asked = RunSettings.model_validate({"seed": 5, "algorithm": {"gamma": 0.5}, "run_dir": tmp_path})

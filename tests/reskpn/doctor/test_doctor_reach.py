@@ -5,10 +5,13 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from reports import actor, report
 
+from common.errors import SettingsError
+from common.wire.credentials import Credentials
 from common.wire.endpoint import Endpoint, free_port
 from common.wire.keys import STATUS
 from common.wire.session import Request, open_session
@@ -39,6 +42,12 @@ def test_a_free_port(endpoint: str) -> None:
     found, answer = check_port(endpoint)
     assert (found.level, answer) == ("ok", None)
     assert found.text == f"{endpoint} is free: no learner is there, one can be started"
+
+
+def test_credentials_are_looked_at_first(endpoint: str, tmp_path: Path) -> None:
+    """What a learner could not start with is a problem also while the port is free."""
+    with pytest.raises(SettingsError, match=r"ca\.crt cannot be read"):
+        check_port(endpoint.replace("tcp/", "tls/"), Credentials(tmp_path))
 
 
 def test_a_learner_is_named(endpoint: str, learner: None) -> None:

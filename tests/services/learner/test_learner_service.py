@@ -38,6 +38,15 @@ def test_an_open_door_is_refused_unless_it_is_wanted(endpoint: str) -> None:
     refuse_open_doors(settings(transport={"endpoint": endpoint, "insecure": True}))
 
 
+def test_a_door_with_a_lock_may_be_reached(tmp_path: Path) -> None:
+    """Certificates on an encrypted address, or passwords on any."""
+    locked = {"endpoint": "tls/0.0.0.0:7447", "certificates": tmp_path}
+    refuse_open_doors(settings(transport=locked))
+    refuse_open_doors(settings(transport={"endpoint": "tcp/0.0.0.0:7447", "users": tmp_path / "users"}))
+    with pytest.raises(SettingsError, match="has no authentication"):
+        refuse_open_doors(settings(transport=locked | {"endpoint": "tcp/0.0.0.0:7447"}))
+
+
 def test_what_is_no_address_is_refused() -> None:
     """With an example of one."""
     with pytest.raises(SessionError, match=r"'7447' is not an address: .* as in tcp/127\.0\.0\.1:7447"):
