@@ -35,7 +35,7 @@ class LoggedRun:
 
     Attributes:
         updates: by the version they led to.
-        unused: rollouts of the last version that no update has used.
+        unused: rollouts of the last version and the next that no update has used.
         episodes: the `/episode` records.
         environments: (version, slot, generation) of the environment states in the log.
         ahead: (topic, version) of records beyond the last update.
@@ -113,7 +113,8 @@ def _look_beyond(found: LoggedRun, newest: dict[str, LogMessage], rollouts: dequ
     last = found.last
     used = {place for version in range(last - UNUSED_UPDATES, last + 1) for place in _places(found, version)}
     decoded = [Rollout.decode(data) for data in rollouts]
-    found.unused = [made for made in decoded if made.policy_version == last and made.place not in used]
+    # The next version is published, and acted by, before the update to it is recorded.
+    found.unused = [made for made in decoded if made.policy_version in (last, last + 1) and made.place not in used]
     versions: dict[str, int] = {
         topic: newest[topic].json()["version"] for topic in ("/episode", "/eval") if topic in newest
     }

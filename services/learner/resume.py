@@ -77,14 +77,17 @@ def resume_run(settings: RunSettings, run_dir: Path) -> Resumption | None:
     logged = _read(run_dir, settings.actors)
     found = pick(run, settings, run_dir, logged, notes)
     updates = logged.places(found.version)
-    unused = [rollout.place for rollout in logged.unused]
+    unused = [
+        [rollout.place for rollout in logged.unused if rollout.policy_version == version]
+        for version in (logged.last, logged.last + 1)
+    ]
     by_log = None
     if logged.last >= settings.updates:
         by_log = "no environments are needed any more" if updates else None
-    elif updates or unused:
+    elif updates or logged.unused:
         by_log = departure(found.starts, updates, unused, found.version)
     afresh = _afresh(settings.actors, found, logged)
-    notes.append(_restored(found, len(updates), len(unused)))
+    notes.append(_restored(found, len(updates), len(logged.unused)))
     return Resumption(
         run=run,
         version=found.version,
