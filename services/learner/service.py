@@ -83,6 +83,12 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
         try:
             complete = loop.train()
             evaluation = loop.evaluate() if complete else None
+            if not failures:
+                summary = summarise(settings, run_dir, run, loop, evaluation, time.monotonic() - began_s)
+                summary["complete"] = complete
+                # Before the actors go home: one that is killed while it concludes needs them again.
+                logged = evaluation is None or again.holds("/eval", evaluation.version)
+                conclude(run_dir, log, summary, None if logged else evaluation)
         except ReskpnError as error:
             events.add("error", "run_failed", str(error))
             raise
@@ -90,16 +96,28 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
             loop.dismiss()
         if failures:
             raise failures[0]
-        summary = summarise(settings, run_dir, run, loop, evaluation, time.monotonic() - began_s)
-        summary["complete"] = complete
-        if evaluation is not None and not again.holds("/eval", evaluation.version):
-            log.write("/eval", _eval_record(evaluation))
-        log.flush(timeout_s=60.0)
-        write_json(run_dir / SUMMARY, summary)
         display.close()
         for line in describe(summary, run_dir):
             display.note(line)
     return 0 if complete else INTERRUPTED
+
+
+def conclude(run_dir: Path, log: LogWriter, summary: dict[str, Any], evaluation: Evaluation | None) -> None:
+    """Write what says that the run is over: the summary last. `evaluation`: where the log does not have it yet.
+
+    Raises:
+        LogWriteError: the log or the summary cannot be written.
+    """
+    if evaluation is not None:
+        log.write("/eval", _eval_record(evaluation))
+    log.flush(timeout_s=60.0)
+    try:
+        write_json(run_dir / SUMMARY, summary)
+    except OSError as error:
+        raise LogWriteError(
+            f"cannot write {run_dir / SUMMARY}: {error.strerror}. Make room or fix its permissions and resume the run; "
+            "its log is whole"
+        ) from None
 
 
 def _begin(settings: RunSettings, *, resume: bool) -> tuple[Path, Resumption]:

@@ -18,7 +18,7 @@ from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from common.wire.messages import Evaluation
 from services.learner import service
-from services.learner.service import Events, describe, refuse_open_doors, summarise
+from services.learner.service import Events, conclude, describe, refuse_open_doors, summarise
 from services.learner.statistics import TrainingReturn
 
 # -- who can reach it --------------------------------------------------------------------------------------
@@ -91,6 +91,27 @@ def test_the_summary_of_a_run_that_was_stopped_at_once(tmp_path: Path) -> None:
     assert (summary["eval_episodes"], summary["updates"], summary["physics"]) == (0, 0, "native")
     mixed = summarise(settings(), tmp_path, "run-1", finished_run(physics={"native", "mjx"}), None, 1.0)
     assert mixed["physics"] == "mjx+native"
+
+
+def test_what_says_that_a_run_is_over(tmp_path: Path) -> None:
+    """The evaluation is in the log before there is a summary; one that the log has is not written again."""
+    with LogWriter(tmp_path / "log") as log:
+        conclude(tmp_path, log, {"complete": True}, EVALUATION)
+        assert json.loads((tmp_path / "summary.json").read_text()) == {"complete": True}
+        # As it is on the disk while the log is still open.
+        (evaluation,) = [message.json() for message in LogReader(tmp_path).messages(["/eval"])]
+        assert (evaluation["version"], evaluation["episodes"], evaluation["return_mean"]) == (10, 2, 20.0)
+        conclude(tmp_path, log, {"complete": True}, None)
+    assert LogReader(tmp_path).counts() == {"/eval": 1}
+
+
+def test_a_summary_that_cannot_be_written(tmp_path: Path) -> None:
+    """A sentence with the remedy; the evaluation is in the log, so the run can be resumed."""
+    (tmp_path / "summary.json.part").mkdir()
+    with LogWriter(tmp_path / "log") as log:
+        with pytest.raises(LogWriteError, match=r"summary\.json: Is a directory\. Make room .* resume the run"):
+            conclude(tmp_path, log, {"complete": True}, EVALUATION)
+        assert LogReader(tmp_path).counts() == {"/eval": 1}
 
 
 def test_the_summary_for_a_person(tmp_path: Path) -> None:
