@@ -66,9 +66,9 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
             f"{settings.batch_size:,} steps\nlistening on {settings.transport.endpoint}; files in {run_dir}"
         )
         stack.callback(display.close)
-        scalars = Scalars(run_dir / "tensorboard")
-        stack.callback(scalars.close)
         events = Events(log, display)
+        scalars = Scalars(run_dir / "tensorboard", lambda text: events.add("warning", "curves_ended", text))
+        stack.callback(scalars.close)
         for note in resumption.notes:
             events.add("info", "resumed", note)
         environments = resumption.logged_environments
