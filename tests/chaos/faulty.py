@@ -20,6 +20,7 @@ from __future__ import annotations
 import functools
 import importlib
 import itertools
+import multiprocessing
 import os
 import resource
 import signal
@@ -54,6 +55,7 @@ CLOCK = Clock()
 
 def run(words: Sequence[str], faults: Sequence[str], output: str) -> NoReturn:
     """All that this process does: its output goes to the file, its end is that of `reskpn`."""
+    threading.Thread(target=end_with_the_tests, daemon=True).start()
     descriptor = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)
@@ -65,6 +67,14 @@ def run(words: Sequence[str], faults: Sequence[str], output: str) -> NoReturn:
     from reskpn.cli import main
 
     sys.exit(main(words))
+
+
+def end_with_the_tests() -> None:
+    """However they end: nothing that they have started is left running."""
+    tests = multiprocessing.parent_process()
+    if tests is not None:
+        tests.join()
+        os._exit(1)
 
 
 def die(when: str, target: str, number: str, text: str = "") -> None:

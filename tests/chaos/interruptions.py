@@ -207,14 +207,14 @@ def runs(pid: int) -> bool:
         return False
 
 
-def wait_for(condition: Callable[[], object], alive: Sequence[Process] = ()) -> None:
-    """Until the condition holds; fails where one of `alive` ends first."""
+def wait_for(condition: Callable[[], object], alive: Sequence[Process] = (), pause_s: float = PAUSE_S) -> None:
+    """Until the condition holds; fails where one of `alive` ends first. Asked again after `pause_s`."""
     end = time.monotonic() + DEADLINE_S
     while not condition():
         for process in alive:
             assert process.ended() is None, f"ended too early: {process.printed()}"
         assert time.monotonic() < end, "deadline passed"
-        time.sleep(PAUSE_S)
+        time.sleep(pause_s)
 
 
 def updates_seen(run_dir: Path) -> int:
