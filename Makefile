@@ -37,9 +37,10 @@ test-docker: setup  ## docker-compose.yml for real: build, run, kill, scale; exi
 test-hosts: setup  ## learner, actors, a viewer and an outsider on hosts of their own (network namespaces; needs root)
 	@$(BIN)/python -m pytest tests/hosts -p no:randomly -rA --tb=short --timeout 400
 
-test-chaos: setup  ## kill -9 at random points and hostile messages; CHAOS_POINTS=20 of each kind, CHAOS_SEED=n to repeat
+
+test-chaos: setup  ## kill -9 at random and at the worst moments, hostile messages, slow and full disks; CHAOS_POINTS=20, CHAOS_SEED=n to repeat
 	@CHAOS_POINTS=$(CHAOS_POINTS) $(if $(CHAOS_SEED),CHAOS_SEED=$(CHAOS_SEED)) \
-		$(BIN)/python -m pytest tests/chaos -p no:randomly -rA --tb=short
+		$(BIN)/python -m pytest tests/chaos -p no:randomly -rfE --tb=short
 
 lint: setup  ## style, types and import rules
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Collection
 
-from common.errors import CodecError
+from common.errors import CodecError, LogWriteError
 from common.log.writer import LogWriter
 from common.settings import RunSettings
 from common.wire.keys import Keys
@@ -14,6 +14,9 @@ from common.wire.session import Request
 from services.learner.checkpoints import KeptEnvironments
 from services.learner.fleet import Fleet
 from services.learner.slots import ACCEPTED
+
+LOG_FAILED = PushReply("busy", "the log cannot be written any more: the run stops")
+"""To whom pushes while that is happening; the learner's loop is what reports it."""
 
 
 class EnvironmentDesk:
@@ -93,7 +96,10 @@ class EnvironmentDesk:
             if answer is None:
                 self._under_way.add(given.slot)
         if answer is None:
-            self._log.write("/environment", request.payload, on_durable=lambda: self._keep(given, request))
+            try:
+                self._log.write("/environment", request.payload, on_durable=lambda: self._keep(given, request))
+            except LogWriteError:
+                return LOG_FAILED
         return answer
 
     def _admit(self, given: Environment) -> PushReply | None:

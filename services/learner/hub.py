@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
 from functools import partial
 
-from common.errors import CodecError, RefusedError
+from common.errors import CodecError, LogWriteError, RefusedError
 from common.log.records import encode_json
 from common.log.writer import LogWriter
 from common.printable import printable
@@ -35,7 +35,7 @@ from common.wire.session import Request, Session
 from services.learner.admission import check_evaluation, check_heartbeat, check_join
 from services.learner.census import Census
 from services.learner.display import Status
-from services.learner.environments import EnvironmentDesk
+from services.learner.environments import LOG_FAILED, EnvironmentDesk
 from services.learner.evaluators import EvaluatorDesk
 from services.learner.fleet import Fleet, gathering_of
 from services.learner.slots import ACCEPTED, Start
@@ -350,7 +350,10 @@ class Hub:
             answer = self._fleet.admit(rollout)
             self._changed.notify_all()  # one that the log has already counts at once
         if answer is None:
-            self._log.write("/rollout", request.payload, on_durable=lambda: self._logged(rollout, request))
+            try:
+                self._log.write("/rollout", request.payload, on_durable=lambda: self._logged(rollout, request))
+            except LogWriteError:
+                return LOG_FAILED
         return answer
 
     def _logged(self, rollout: Rollout, request: Request) -> None:

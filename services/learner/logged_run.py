@@ -37,7 +37,8 @@ class LoggedRun:
     Attributes:
         updates: by the version they led to.
         staleness: versions that a rollout may lie behind the policy that it updates.
-        unused: rollouts that no update has used, of the last version or as little behind it as that; in their order.
+        unused: rollouts that no update has used, of the last version or as little behind it as that, and of the next;
+            in their order.
         episodes: the `/episode` records.
         environments: (version, slot, generation) of the environment states in the log.
         ahead: (topic, version) of records beyond the last update.
@@ -120,6 +121,7 @@ def _look_beyond(found: LoggedRun, newest: dict[str, LogMessage], rollouts: dequ
     last, oldest = found.last, found.last - found.staleness
     used = {place for version in range(oldest - UNUSED_UPDATES, last + 1) for place in _places(found, version)}
     decoded = [Rollout.decode(data) for data in rollouts]
+    # The next version is published, and acted by, before the update to it is recorded.
     found.unused = [made for made in decoded if made.policy_version >= oldest and made.place not in used]
     versions: dict[str, int] = {
         topic: newest[topic].json()["version"] for topic in ("/episode", "/eval") if topic in newest

@@ -100,8 +100,11 @@ def _by_log(settings: RunSettings, found: Found, logged: LoggedRun, updates: Seq
         return "in async mode what actors make depends on the timing, and cannot be made again"
     if logged.last >= settings.updates:
         return "no environments are needed any more" if updates else None
-    unused = [rollout.place for rollout in logged.unused]
-    return departure(found.starts, updates, unused, found.version) if updates or unused else None
+    unused = [
+        [rollout.place for rollout in logged.unused if rollout.policy_version == version]
+        for version in (logged.last, logged.last + 1)
+    ]
+    return departure(found.starts, updates, unused, found.version) if updates or logged.unused else None
 
 
 def _read(run_dir: Path, settings: RunSettings) -> LoggedRun:

@@ -66,9 +66,9 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
             f"{settings.batch_size:,} steps\nlistening on {settings.transport.endpoint}; files in {run_dir}"
         )
         stack.callback(display.close)
-        scalars = Scalars(run_dir / "tensorboard")
-        stack.callback(scalars.close)
         events = Events(log, display)
+        scalars = Scalars(run_dir / "tensorboard", lambda text: events.add("warning", "curves_ended", text))
+        stack.callback(scalars.close)
         for note in resumption.notes:
             events.add("info", "resumed", note)
         environments = resumption.logged_environments
@@ -84,6 +84,15 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
         try:
             complete = loop.train()
             evaluation = loop.evaluate() if complete else None
+            if not failures:
+                summary = summarise(settings, run_dir, run, loop, evaluation, time.monotonic() - began_s)
+                summary["complete"] = complete
+                # Before the actors go home: one that is killed while it concludes needs them again.
+                logged = evaluation is None or again.holds("/eval", evaluation.version)
+                record = None if evaluation is None else final_record(evaluation, loop.env_steps)
+                scalars.add(loop.env_steps, {} if record is None else evaluation_scalars(record))
+                conclude(run_dir, log, summary, None if logged else record)
+                loop.draw_evaluations()
         except ReskpnError as error:
             events.add("error", "run_failed", str(error))
             raise
@@ -91,20 +100,28 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
             loop.dismiss()
         if failures:
             raise failures[0]
-        summary = summarise(settings, run_dir, run, loop, evaluation, time.monotonic() - began_s)
-        summary["complete"] = complete
-        if evaluation is not None:
-            record = _final_record(evaluation, loop.env_steps)
-            scalars.add(loop.env_steps, evaluation_scalars(record))
-            if not again.holds("/eval", evaluation.version):
-                log.write("/eval", record)
-        log.flush(timeout_s=60.0)
-        loop.draw_evaluations()
-        write_json(run_dir / SUMMARY, summary)
         display.close()
         for line in describe(summary, run_dir):
             display.note(line)
     return 0 if complete else INTERRUPTED
+
+
+def conclude(run_dir: Path, log: LogWriter, summary: dict[str, Any], record: dict[str, Any] | None) -> None:
+    """Write what says that the run is over: the summary last. `record`: of the evaluation, unless the log has it.
+
+    Raises:
+        LogWriteError: the log or the summary cannot be written.
+    """
+    if record is not None:
+        log.write("/eval", record)
+    log.flush(timeout_s=60.0)
+    try:
+        write_json(run_dir / SUMMARY, summary)
+    except OSError as error:
+        raise LogWriteError(
+            f"cannot write {run_dir / SUMMARY}: {error.strerror}. Make room or fix its permissions and resume the run; "
+            "its log is whole"
+        ) from None
 
 
 def _begin(settings: RunSettings, *, resume: bool) -> tuple[Path, Resumption]:
@@ -214,6 +231,7 @@ def describe(summary: dict[str, Any], run_dir: Path) -> Iterator[str]:
     yield f"  log {summary['log']}, summary {run_dir / SUMMARY}, curves {run_dir / 'tensorboard'}"
 
 
-def _final_record(evaluation: Evaluation, env_steps: int) -> dict[str, Any]:
+def final_record(evaluation: Evaluation, env_steps: int) -> dict[str, Any]:
+    """The run's own evaluation at its end, as `/eval` has it."""
     returns, lengths = evaluation.episode_return, evaluation.episode_length
     return eval_record(evaluation.version, env_steps, returns, lengths, source=OF_THE_RUN, behind=0)

@@ -30,7 +30,8 @@ class Tail:
     Args:
         last: version of the last update in the log.
         updates: those after the checkpoint, in order.
-        unused: rollouts that no update has used yet and the next ones may.
+        unused: rollouts that no update has used yet and the next ones may: of version `last` or before it, and of the
+            next, for the actors are at work for it while the update to it is still to be recorded.
         ahead: (topic, version) of records that were written ahead of their update, and so must not be written again.
     """
 
@@ -65,7 +66,8 @@ class Tail:
         """What the log holds of a version's rollouts, used or not."""
         if (update := self.after(version)) is not None:
             return update.rollouts
-        return self.unused if version == self.last else []
+        # Those of older policies, in async mode, wait for the next update as well.
+        return [made for made in self.unused if max(made.policy_version, self.last) == version]
 
     def holds(self, topic: str, version: int) -> bool:
         """Whether the log has that record already. What belongs to an update is written before it."""
@@ -110,17 +112,17 @@ def place_of(used: dict[str, int]) -> Place:
 
 
 def departure(
-    starts: Sequence[Start], updates: Sequence[Collection[Place]], unused: Collection[Place], version: int
+    starts: Sequence[Start], updates: Sequence[Collection[Place]], unused: Sequence[Collection[Place]], version: int
 ) -> str | None:
     """Why acting again from `starts` cannot make the rollouts of the log; None where it can.
 
     Args:
         updates: places of the rollouts of each update, from `version` on.
-        unused: those of the rollouts after them.
+        unused: those of the rollouts after them, by version.
     """
-    for count, places in enumerate([*updates, unused]):
+    for count, places in enumerate([*updates, *unused]):
         expected = {(slot, start.generation, start.seq + count) for slot, start in enumerate(starts)}
-        complete = count == len(updates) or len(places) == len(expected)
+        complete = count >= len(updates) or len(places) == len(expected)
         if not complete or not set(places) <= expected:
             return f"version {version + count} of the run was not acted by one and the same actor in every slot"
     return None

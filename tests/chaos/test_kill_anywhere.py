@@ -9,24 +9,22 @@ from __future__ import annotations
 import os
 import random
 import secrets
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from tests.integration.interruptions import (
+from tests.chaos.interruptions import (
+    OPTIONS,
+    UPDATES,
     Apart,
     Processes,
     audited,
-    processes,
-    small_options,
     train_until,
     updates_seen,
     wait_for,
 )
 
-UPDATES = 60
-OPTIONS = small_options(UPDATES)
 POINTS = int(os.environ.get("CHAOS_POINTS", "20"))
 SEED = int(os.environ.get("CHAOS_SEED", secrets.randbelow(10**6)))
 LONGEST_DELAY_S = 0.1
@@ -44,21 +42,6 @@ pytestmark = pytest.mark.timeout(600)
 def points(kind: str) -> list[tuple[int, str]]:
     """(number, seed): a point is drawn from its own seed, so that one can be tried again alone."""
     return [(number, f"{SEED}-{kind}-{number}") for number in range(POINTS)]
-
-
-@pytest.fixture
-def started(tmp_path: Path) -> Iterator[Processes]:
-    with processes(tmp_path) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The digests of the run that nobody kills."""
-    folder = tmp_path_factory.mktemp("undisturbed")
-    with processes(folder) as made:
-        made.start("train", *OPTIONS, "--run-dir", folder / "run").end()
-    return audited(folder / "run", UPDATES)
 
 
 def moment(run_dir: Path, seed: str) -> tuple[Callable[[], object], float]:

@@ -89,6 +89,18 @@ def test_the_actors_act_again(resumption: Resumption) -> None:
     assert sides.events.empty()
 
 
+def test_rollouts_of_the_version_after_the_last(resumption: Resumption) -> None:
+    """They are compared with what is made again, and settled where nobody acts again."""
+    ahead = [*pair(6), pair(7)[1]]
+    sides = Sides(dataclasses.replace(resumption, tail=Tail(6, updates(), ahead)))
+    begun = [sides.begin(version) for version in (4, 5, 6, 7, 8)]
+    assert [places(one["logged"]) for one in begun[2:]] == [[(0, 0, 6), (1, 0, 6)], [(1, 0, 7)], []]
+    by_log = Sides(dataclasses.replace(resumption, tail=Tail(6, updates(), ahead), by_log="an actor was lost"))
+    begun = [by_log.begin(version) for version in (4, 5, 6, 7)]
+    assert [places(one["settled"]) for one in begun[2:]] == [[(0, 0, 6), (1, 0, 6)], [(1, 0, 7)]]
+    assert by_log.begin(8)["settled"] == []
+
+
 def test_the_last_version_collects_nothing(resumption: Resumption) -> None:
     """As in any run."""
     sides = Sides(resumption)

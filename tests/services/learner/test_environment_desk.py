@@ -142,3 +142,15 @@ def test_what_the_log_has_already_is_not_logged_again(learners: Callable[..., Le
     kept = learner.hub.environments.kept()
     assert kept is not None
     assert sorted(kept.states) == [0, 1]
+
+
+def test_when_the_log_has_failed_nothing_is_kept(
+    learner: Learner, actor: Actor, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Who hands in is told to wait: it is the learner's loop that ends the run. No handler fails."""
+    learner.writer.close()
+    assert push(actor, environment(0, "a")) == PushReply("busy", "the log cannot be written any more: the run stops")
+    kept = learner.hub.environments.kept()
+    assert kept is not None
+    assert kept.states == {}
+    assert not caplog.records

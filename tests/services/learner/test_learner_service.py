@@ -18,7 +18,7 @@ from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from common.wire.messages import Evaluation
 from services.learner import service
-from services.learner.service import Events, describe, refuse_open_doors, summarise
+from services.learner.service import Events, conclude, describe, final_record, refuse_open_doors, summarise
 from services.learner.statistics import TrainingReturn
 
 # -- who can reach it --------------------------------------------------------------------------------------
@@ -64,6 +64,7 @@ def finished_run(**changes: Any) -> Any:
 
 
 EVALUATION = Evaluation("r", 0, "a", 10, np.array([10, 30], np.float32), np.array([5, 7], np.int32))
+RECORD = final_record(EVALUATION, 800)
 
 
 def test_the_summary_of_a_run(tmp_path: Path) -> None:
@@ -100,6 +101,28 @@ def test_the_summary_of_a_run_that_was_stopped_at_once(tmp_path: Path) -> None:
     assert (summary["eval_episodes"], summary["updates"], summary["physics"]) == (0, 0, "native")
     mixed = summarise(settings(), tmp_path, "run-1", finished_run(physics={"native", "mjx"}), None, 1.0)
     assert mixed["physics"] == "mjx+native"
+
+
+def test_what_says_that_a_run_is_over(tmp_path: Path) -> None:
+    """The evaluation is in the log before there is a summary; one that the log has is not written again."""
+    with LogWriter(tmp_path / "log") as log:
+        conclude(tmp_path, log, {"complete": True}, RECORD)
+        assert json.loads((tmp_path / "summary.json").read_text()) == {"complete": True}
+        # As it is on the disk while the log is still open.
+        (evaluation,) = [message.json() for message in LogReader(tmp_path).messages(["/eval"])]
+        assert (evaluation["version"], evaluation["episodes"], evaluation["return_mean"]) == (10, 2, 20.0)
+        assert (evaluation["env_steps"], evaluation["source"]) == (800, "run")
+        conclude(tmp_path, log, {"complete": True}, None)
+    assert LogReader(tmp_path).counts() == {"/eval": 1}
+
+
+def test_a_summary_that_cannot_be_written(tmp_path: Path) -> None:
+    """A sentence with the remedy; the evaluation is in the log, so the run can be resumed."""
+    (tmp_path / "summary.json.part").mkdir()
+    with LogWriter(tmp_path / "log") as log:
+        with pytest.raises(LogWriteError, match=r"summary\.json: Is a directory\. Make room .* resume the run"):
+            conclude(tmp_path, log, {"complete": True}, RECORD)
+        assert LogReader(tmp_path).counts() == {"/eval": 1}
 
 
 def test_the_summary_for_a_person(tmp_path: Path) -> None:

@@ -29,11 +29,18 @@ def environment(slot: int, version: int, generation: int = 0) -> bytes:
 
 
 def write_log(
-    run_dir: Path, updates: int, *, unused: int = 0, generations: Sequence[tuple[int, int]] = (), segments: int = 1
+    run_dir: Path,
+    updates: int,
+    *,
+    unused: int = 0,
+    early: int = 0,
+    generations: Sequence[tuple[int, int]] = (),
+    segments: int = 1,
 ) -> None:
     """A log of so many updates, both slots acting in each, and some rollouts more.
 
     Args:
+        unused: rollouts of the last version, `early`: of the one after it.
         generations: (slot, version) from which on the slot's rollouts are of its next generation.
         segments: files; each takes an equal share of the updates.
     """
@@ -62,6 +69,8 @@ def write_log(
             if last:
                 for slot in range(unused):
                     log.write("/rollout", made(slot, updates).encode())
+                for slot in range(early):
+                    log.write("/rollout", made(slot, updates + 1).encode())
 
 
 def keep(run_dir: Path, version: int, *, environments: bool = True, state: Snapshot | None = None) -> Path:
@@ -106,6 +115,28 @@ def test_evaluations_of_a_version_may_repeat(tmp_path: Path) -> None:
         log.write("/eval", {"version": 7, "source": "run"})
         log.write("/eval", {"version": 7, "source": "e"})
     assert resumed(tmp_path).tail.holds("/eval", 7)
+
+
+def test_rollouts_that_came_before_the_record_of_their_version(tmp_path: Path) -> None:
+    """The actors work for a version as soon as it is published; the update to it is recorded after that. Killed in
+    between, the log has rollouts of the version after its last: they count, and are not made a second time."""
+    write_log(tmp_path, 7, unused=2, early=1)
+    keep(tmp_path, 6)
+    found = resumed(tmp_path)
+    assert found.by_log is None
+    assert [one.place for one in found.tail.rollouts(7)] == [(0, 0, 7), (1, 0, 7)]
+    assert [one.place for one in found.tail.rollouts(8)] == [(0, 0, 8)]
+    assert found.tail.rollouts(9) == []
+    assert found.notes[-1].endswith("a tail of 1 updates and 3 rollouts not yet used")
+
+
+def test_early_rollouts_of_a_successor(tmp_path: Path) -> None:
+    """Theirs is a generation that the log has: no slot begins with it again."""
+    write_log(tmp_path, 7, unused=2, early=2, generations=[(1, 8)])
+    keep(tmp_path, 6)
+    found = resumed(tmp_path)
+    assert found.by_log == "version 8 of the run was not acted by one and the same actor in every slot"
+    assert found.starts == [Start(1), Start(2)]
 
 
 def test_without_environments_the_one_before(tmp_path: Path) -> None:

@@ -56,9 +56,9 @@ def updates(*versions: int) -> Iterator[LoggedUpdate]:
 
 
 def test_a_tail_gives_what_belongs_to_a_version() -> None:
-    """Used rollouts by their update, unused ones at the last version, nothing beyond."""
+    """Used rollouts by their update, unused ones by the version they were made for, nothing beyond."""
     unused = pair(5)[:1]
-    tail = Tail(5, updates(4, 5), unused)
+    tail = Tail(5, updates(4, 5), [*unused, *pair(6)])
     assert [made.seq for made in tail.rollouts(3)] == [3, 3]
     found = tail.after(4)
     assert found is not None
@@ -66,7 +66,8 @@ def test_a_tail_gives_what_belongs_to_a_version() -> None:
     assert tail.after(4) is found
     assert tail.rollouts(5) == unused
     assert tail.after(5) is None
-    assert tail.rollouts(6) == []
+    assert [made.place for made in tail.rollouts(6)] == [(0, 0, 6), (1, 0, 6)]
+    assert tail.rollouts(7) == []
     with pytest.raises(LogReadError, match="no update 5, but one to 5"):
         Tail(5, updates(4)).after(4)
 
@@ -118,11 +119,12 @@ STARTS = [Start(0, 3), Start(2, 1)]
 
 
 def test_a_run_without_losses_can_be_acted_again() -> None:
-    """Every slot goes on from its start, one rollout a version; of the last version some may be there."""
+    """Every slot goes on from its start, one rollout a version; of the last version and the next some may be there."""
     whole = [{(0, 0, 3), (1, 2, 1)}, {(0, 0, 4), (1, 2, 2)}]
     assert departure(STARTS, whole, [], 10) is None
-    assert departure(STARTS, whole, [(1, 2, 3)], 10) is None
-    assert departure(STARTS, [], [(0, 0, 3)], 10) is None
+    assert departure(STARTS, whole, [[(1, 2, 3)], []], 10) is None
+    assert departure(STARTS, [], [[(0, 0, 3)], []], 10) is None
+    assert departure(STARTS, [], [[(0, 0, 3), (1, 2, 1)], [(1, 2, 2)]], 10) is None
 
 
 @pytest.mark.parametrize(
@@ -132,11 +134,13 @@ def test_a_run_without_losses_can_be_acted_again() -> None:
         ([{(0, 0, 3), (0, 0, 4)}], []),
         ([{(0, 0, 3)}], []),
         ([{(0, 0, 3), (1, 2, 2)}], []),
-        ([], [(1, 3, 0)]),
+        ([], [[(1, 3, 0)], []]),
     ],
     ids=["successor", "other slot's work", "too few", "gap", "unused of a successor"],
 )
-def test_a_run_with_losses_cannot(places: list[set[tuple[int, int, int]]], unused: list[tuple[int, int, int]]) -> None:
+def test_a_run_with_losses_cannot(
+    places: list[set[tuple[int, int, int]]], unused: list[list[tuple[int, int, int]]]
+) -> None:
     """What a successor made began with environments that are nowhere kept."""
     assert departure(STARTS, places, unused, 10) == (
         "version 10 of the run was not acted by one and the same actor in every slot"
