@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import os
 import random
-import secrets
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests.chaos.interruptions import (
+    LONGEST_DELAY_S,
     OPTIONS,
+    SEED,
     UPDATES,
     Apart,
     Processes,
@@ -26,10 +27,6 @@ from tests.chaos.interruptions import (
 )
 
 POINTS = int(os.environ.get("CHAOS_POINTS", "20"))
-SEED = int(os.environ.get("CHAOS_SEED", secrets.randbelow(10**6)))
-LONGEST_DELAY_S = 0.1
-"""A few updates: what lies between them is hit as well, log, checkpoint and snapshot."""
-
 PATIENCE = 10
 """Updates after which a file that is only there for a moment is not waited for any more."""
 

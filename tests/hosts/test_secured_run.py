@@ -12,7 +12,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
-from small_runs import BATCH, SMALL, TICK, small_run
 
 from common.errors import SessionError, WireError
 from common.log.reader import LogReader
@@ -21,6 +20,7 @@ from common.wire.endpoint import free_port
 from common.wire.report import RunReport
 from reskpn.authority import make_all
 from reskpn.status import ask, connect
+from tests.integration.small_runs import BATCH, SMALL, TICK, small_run
 
 UPDATES = 4
 DEADLINE_S = 120.0
