@@ -19,7 +19,8 @@ from common.settings import RunSettings
 from common.wire.messages import Rollout
 from common.wire.session import open_session
 from services.actor.collector import PolicyReader
-from services.learner.hub import Hub, make_snapshot
+from services.learner.hub import Hub
+from services.learner.snapshots import make_snapshot
 
 RUN = "ingest"
 JOIN_S = 120.0

@@ -1,7 +1,7 @@
 """Who works for the learner, what is asked of them, and which of their rollouts count.
 
-A slot is a place in the batch. It is given to one incarnation (one life of an actor process) at a time. What an update
-is made of is the mode's business: `SyncBatch` or `AsyncQueue`.
+A slot is given to one incarnation (one life of an actor process) at a time. What an update is made of is the mode's
+business: `SyncBatch` or `AsyncQueue`.
 
 Nothing here knows of threads, clocks or Zenoh: the service holds a lock around every call and says what time it is.
 """

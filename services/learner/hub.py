@@ -1,7 +1,6 @@
-"""The learner's side of every conversation: joins, rollouts, snapshots, heartbeats, orders.
+"""The learner's side of every conversation: orders, snapshots, heartbeats, and a desk for each kind of question.
 
-Handlers run on Zenoh's threads. They check and enqueue, under one lock, and never wait: a rollout is answered
-`accepted` by the log's thread once it is in the log, `busy` where the queue is full, `refused` where it is no use.
+Handlers run on Zenoh's threads. They check and enqueue, under one lock, and never wait.
 """
 
 from __future__ import annotations
@@ -12,40 +11,33 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
 from functools import partial
 
-from common.errors import CodecError, LogWriteError, RefusedError
+from common.errors import CodecError
 from common.log.records import encode_json
 from common.log.writer import LogWriter
 from common.printable import printable
-from common.rollout_shape import rollout_shape
 from common.settings import RunSettings
 from common.wire.keys import JOIN, STATUS, Keys, parse_alive
 from common.wire.messages import (
-    FINISHED,
     Evaluation,
     Heartbeat,
-    Join,
-    JoinReply,
     PushReply,
     Rollout,
     Snapshot,
-    digest_arrays,
 )
 from common.wire.report import RunReport
 from common.wire.session import Request, Session
-from services.learner.admission import check_evaluation, check_heartbeat, check_join
+from services.learner.admission import check_evaluation, check_heartbeat
 from services.learner.census import Census
 from services.learner.display import Status
-from services.learner.environments import LOG_FAILED, EnvironmentDesk
+from services.learner.environments import EnvironmentDesk
 from services.learner.evaluators import EvaluatorDesk
 from services.learner.fleet import Fleet, gathering_of
+from services.learner.joins import JoinDesk
+from services.learner.rollouts import RolloutDesk
 from services.learner.slots import ACCEPTED, Start
 
 SILENT_S = 30.0
 """An actor that sends no heartbeat for so long has lost its slot, whatever its connection looks like."""
-
-
-ASK_AGAIN_S = 1.0
-"""An actor that was turned away has asked again by then."""
 
 
 class Hub:
@@ -68,10 +60,8 @@ class Hub:
         self._run = run
         self._settings = settings
         self._session = session
-        self._log = log
         self._on_event = on_event
         self._keys = Keys(run)
-        self._shape = rollout_shape(settings)
         self._changed = threading.Condition()
         # Under the condition, from here
         self._fleet = Fleet(run, settings.actors, starts, gathering_of(settings))
@@ -80,7 +70,6 @@ class Hub:
         self._evaluation: Evaluation | None = None
         self._census = Census(run, settings, time.monotonic())
         self._opened_s = time.monotonic()
-        self._turned_away_s = -ASK_AGAIN_S
         # to here.
         self.environments = EnvironmentDesk(
             run, settings, log, self._fleet, self._changed, partial(self._refused, "environment"), logged_environments
@@ -88,6 +77,17 @@ class Hub:
         self.evaluators = EvaluatorDesk(
             run, settings, log, self._fleet, self._changed, partial(self._refused, "assessment"), time.monotonic
         )
+        self._joins = JoinDesk(
+            run,
+            settings,
+            self._fleet,
+            self._census,
+            self.evaluators,
+            self._changed,
+            partial(self._refused, "join"),
+            on_event,
+        )
+        self._rollouts = RolloutDesk(run, settings, log, self._fleet, self._census, self._changed)
         self._orders = session.publisher(self._keys.policy_notify, express=True, high_priority=True)
         self._metrics = session.publisher(self._keys.metrics)
         self._status = session.publisher(self._keys.status)
@@ -96,7 +96,7 @@ class Hub:
         """Begin to answer. The first snapshot must be there (`begin`)."""
         session, keys = self._session, self._keys
         session.serve(keys.policy_latest, self._serve_snapshot)
-        session.serve(keys.rollouts, self._on_rollout)
+        session.serve(keys.rollouts, self._rollouts.on_request)
         session.serve(keys.evaluations, self._on_evaluation)
         session.serve(keys.environments, self.environments.on_request)
         session.serve(keys.assessments, self.evaluators.on_request)
@@ -104,7 +104,7 @@ class Hub:
         session.watch_alive(keys.all_alive, self._on_alive)
         session.declare_alive(keys.alive("learner", "learner"))
         session.serve(STATUS, lambda request: request.reply(self.report().encode()))
-        session.serve(JOIN, self._on_join)
+        session.serve(JOIN, self._joins.on_request)
         self._opened_s = time.monotonic()
 
     # -- for the learner's loop ----------------------------------------------------------------------------
@@ -232,9 +232,8 @@ class Hub:
             return len(self._fleet.members())
 
     def standing_by(self) -> bool:
-        """Whether actors wait for a slot: they ask again and again, and have yet to hear that the run is over."""
-        with self._changed:
-            return time.monotonic() - self._turned_away_s < ASK_AGAIN_S
+        """As `JoinDesk.standing_by`."""
+        return self._joins.standing_by()
 
     def refusals(self) -> dict[str, int]:
         """Messages that were not used, by reason."""
@@ -242,57 +241,6 @@ class Hub:
             return dict(self._census.refusals())
 
     # -- handlers, on Zenoh's threads ----------------------------------------------------------------------
-
-    def _on_join(self, request: Request) -> None:
-        try:
-            join = Join.decode(request.payload)
-            check_join(join)
-            reply = self._join(join)
-        except CodecError as error:
-            self._refused("join", error)
-            reply = self._no("malformed", str(error), final=True)
-        except RefusedError as error:
-            with self._changed:
-                self._turned_away_s = time.monotonic()
-            reply = self._no("no_slot", str(error), final=False)
-        request.reply(reply.encode())
-
-    def _join(self, join: Join) -> JoinReply:
-        if join.run not in ("", self._run):
-            return self._no("run", f"this learner runs {self._run!r}, not {join.run!r}", final=True)
-        if join.role == "evaluator":
-            return self._join_evaluator(join)
-        physics = join.physics if self._settings.physics == "auto" else self._settings.physics
-        host = printable(join.hardware.get("host", "?"), 64)
-        with self._changed:
-            if self._fleet.finished:
-                return self._no("finished", f"{FINISHED}: nothing is left to do for run {self._run!r}", final=True)
-            slot = self._fleet.join(join.incarnation, physics, time.monotonic())
-            generation, restore = slot.given - 1, slot.start is not None and slot.start.environment is not None
-            self._census.joined(slot.number, join.incarnation, host, time.monotonic())
-        self._on_event(
-            "info",
-            "actor_joined",
-            f"slot {slot.number} (generation {generation}): {physics} on {host}, "
-            f"incarnation {printable(join.incarnation)}",
-        )
-        settings = self._settings.model_dump_json()
-        return JoinReply(True, "", False, self._run, slot.number, generation, settings, restore)
-
-    def _join_evaluator(self, join: Join) -> JoinReply:
-        with self._changed:
-            if self._fleet.finished:
-                return self._no("finished", f"{FINISHED}: nothing is left to evaluate of {self._run!r}", final=True)
-            try:
-                self.evaluators.join(join.incarnation)
-            except RefusedError as error:
-                return self._no("no_place", str(error), final=False)
-        return JoinReply(True, "", False, self._run, 0, 0, self._settings.model_dump_json())
-
-    def _no(self, slug: str, reason: str, *, final: bool) -> JoinReply:
-        with self._changed:
-            self._census.turned_away(slug)
-        return JoinReply(False, reason, final, self._run, 0, 0, "")
 
     def _on_alive(self, key: str, alive: bool) -> None:
         try:
@@ -328,42 +276,6 @@ class Hub:
         if changed:
             self.announce()
 
-    def _on_rollout(self, request: Request) -> None:
-        reply = self._take(request)
-        if reply is not None:
-            with self._changed:
-                self._census.answered(request.key, reply, time.monotonic())
-            request.reply(reply.encode())
-
-    def _take(self, request: Request) -> PushReply | None:
-        """The answer to a pushed rollout, or None where the log's thread will give it."""
-        try:
-            rollout = Rollout.decode(request.payload)
-            rollout.check(self._shape)
-            if request.key != self._keys.rollout(rollout.slot):
-                raise CodecError("bad_key", f"a rollout of slot {rollout.slot} was pushed on {request.key}")
-        except CodecError as error:
-            return PushReply("refused", f"{error.reason}: {error}")
-        if self._log.pending_bytes + len(request.payload) > self._settings.transport.queue_bytes:
-            return PushReply("busy", "the learner's queue is full")
-        with self._changed:
-            answer = self._fleet.admit(rollout)
-            self._changed.notify_all()  # one that the log has already counts at once
-        if answer is None:
-            try:
-                self._log.write("/rollout", request.payload, on_durable=lambda: self._logged(rollout, request))
-            except LogWriteError:
-                return LOG_FAILED
-        return answer
-
-    def _logged(self, rollout: Rollout, request: Request) -> None:
-        """On the log's thread: the rollout is in the file."""
-        with self._changed:
-            self._fleet.accept(rollout)
-            self._census.accepted(rollout.slot)
-            self._changed.notify_all()
-        request.reply(ACCEPTED.encode())
-
     def _on_evaluation(self, request: Request) -> None:
         try:
             evaluation = Evaluation.decode(request.payload)
@@ -386,8 +298,3 @@ class Hub:
     def _refused(self, kind: str, error: CodecError) -> None:
         with self._changed:
             self._census.refused(kind, error.reason, str(error), time.monotonic())
-
-
-def make_snapshot(run: str, version: int, arrays: dict) -> Snapshot:
-    """The snapshot of a version, with its digest."""
-    return Snapshot(run, version, digest_arrays(arrays), arrays)

@@ -19,9 +19,10 @@ from services.learner.again import Again
 from services.learner.checkpoints import Checkpoints, KeptEnvironments
 from services.learner.display import Display, Status
 from services.learner.evaluations import scalars as evaluation_scalars
-from services.learner.hub import Hub, make_snapshot
+from services.learner.hub import Hub
 from services.learner.public import public_update
 from services.learner.scalars import Scalars
+from services.learner.snapshots import make_snapshot
 from services.learner.statistics import Episodes, actor_seconds
 from services.learner.trainer import Trainer
 

@@ -5,31 +5,27 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from common.errors import LogWriteError, ReskpnError, SettingsError
-from common.log.writer import LogWriter
+from common.errors import ReskpnError, SettingsError
 from common.memory import keep_large_blocks
-from common.physics.assets import model_xml
 from common.run_directory import SETTINGS, SUMMARY, prepare_run_dir, write_json
-from common.runtime import hardware, prepare_jax, software_versions, source_commit
+from common.runtime import prepare_jax
 from common.settings import RunSettings
 from common.wire.credentials import Credentials
 from common.wire.endpoint import is_loopback
-from common.wire.messages import Evaluation
+from common.wire.session import Session
 from services.learner.again import Again
 from services.learner.checkpoints import Checkpoints
-from services.learner.display import Display, make_display
 from services.learner.door import make_door, open_to_actors
-from services.learner.evaluations import OF_THE_RUN, eval_record
 from services.learner.evaluations import scalars as evaluation_scalars
 from services.learner.hub import Hub
+from services.learner.outlets import Outlets, open_outlets
 from services.learner.resume import Resumption, resume_run
 from services.learner.run import Run
-from services.learner.scalars import Scalars
+from services.learner.summary import conclude, describe, final_record, summarise
 from services.learner.trainer import Trainer
 
 INTERRUPTED = 130
@@ -53,75 +49,74 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
         session = stack.enter_context(open_to_actors(settings.transport))
         # Only now: an address that is in use leaves no directory behind that looks like a run.
         run_dir, resumption = _begin(settings, resume=resume)
-        run = resumption.run
-        failures: list[LogWriteError] = []
-
-        def on_log_error(error: LogWriteError) -> None:
-            failures.append(error)
-            stop.set()
-
-        log = stack.enter_context(_open_log(run, settings, run_dir, on_log_error))
-        display = make_display(
-            f"ResKPN {run}: {settings.learner} on {settings.task}, {settings.updates} updates of "
-            f"{settings.batch_size:,} steps\nlistening on {settings.transport.endpoint}; files in {run_dir}"
-        )
-        stack.callback(display.close)
-        events = Events(log, display)
-        scalars = Scalars(run_dir / "tensorboard", lambda text: events.add("warning", "curves_ended", text))
-        stack.callback(scalars.close)
+        outlets = stack.enter_context(open_outlets(resumption.run, settings, run_dir, stop))
         for note in resumption.notes:
-            events.add("info", "resumed", note)
-        environments = resumption.logged_environments
-        hub = Hub(run, settings, session, log, events.add, starts=resumption.starts, logged_environments=environments)
+            outlets.events.add("info", "resumed", note)
+        hub = _make_hub(settings, session, outlets, resumption)
         door.watch(session, hub.turned_off)
-        trainer = Trainer(settings)
-        if resumption.arrays is not None:
-            trainer.restore(resumption.arrays)
-        again = Again(hub, resumption, events.add)
-        checkpoints = Checkpoints(run, run_dir)
-        loop = Run(run, settings, trainer, hub, log, display, scalars, stop, checkpoints, again)
-        complete, evaluation = False, None
-        try:
-            complete = loop.train()
-            evaluation = loop.evaluate() if complete else None
-            if not failures:
-                summary = summarise(settings, run_dir, run, loop, evaluation, time.monotonic() - began_s)
-                summary["complete"] = complete
-                # Before the actors go home: one that is killed while it concludes needs them again.
-                logged = evaluation is None or again.holds("/eval", evaluation.version)
-                record = None if evaluation is None else final_record(evaluation, loop.env_steps)
-                scalars.add(loop.env_steps, {} if record is None else evaluation_scalars(record))
-                conclude(run_dir, log, summary, None if logged else record)
-                loop.draw_evaluations()
-        except ReskpnError as error:
-            events.add("error", "run_failed", str(error))
-            raise
-        finally:
-            loop.dismiss()
-        if failures:
-            raise failures[0]
-        display.close()
+        again = Again(hub, resumption, outlets.events.add)
+        loop = _make_loop(settings, run_dir, hub, outlets, again, resumption, stop)
+        summary = _run_to_its_end(settings, run_dir, loop, outlets, again, resumption.run, began_s)
+        if outlets.failures:
+            raise outlets.failures[0]
+        outlets.display.close()
         for line in describe(summary, run_dir):
-            display.note(line)
-    return 0 if complete else INTERRUPTED
+            outlets.display.note(line)
+    return 0 if summary["complete"] else INTERRUPTED
 
 
-def conclude(run_dir: Path, log: LogWriter, summary: dict[str, Any], record: dict[str, Any] | None) -> None:
-    """Write what says that the run is over: the summary last. `record`: of the evaluation, unless the log has it.
+def _make_hub(settings: RunSettings, session: Session, outlets: Outlets, resumption: Resumption) -> Hub:
+    return Hub(
+        resumption.run,
+        settings,
+        session,
+        outlets.log,
+        outlets.events.add,
+        starts=resumption.starts,
+        logged_environments=resumption.logged_environments,
+    )
 
-    Raises:
-        LogWriteError: the log or the summary cannot be written.
-    """
-    if record is not None:
-        log.write("/eval", record)
-    log.flush(timeout_s=60.0)
+
+def _make_loop(
+    settings: RunSettings,
+    run_dir: Path,
+    hub: Hub,
+    outlets: Outlets,
+    again: Again,
+    resumption: Resumption,
+    stop: threading.Event,
+) -> Run:
+    trainer = Trainer(settings)
+    if resumption.arrays is not None:
+        trainer.restore(resumption.arrays)
+    checkpoints = Checkpoints(resumption.run, run_dir)
+    return Run(
+        resumption.run, settings, trainer, hub, outlets.log, outlets.display, outlets.scalars, stop, checkpoints, again
+    )
+
+
+def _run_to_its_end(
+    settings: RunSettings, run_dir: Path, loop: Run, outlets: Outlets, again: Again, run: str, began_s: float
+) -> dict[str, Any]:
+    """Train, evaluate, conclude and send the actors home; the summary, which is kept unless the log has failed."""
     try:
-        write_json(run_dir / SUMMARY, summary)
-    except OSError as error:
-        raise LogWriteError(
-            f"cannot write {run_dir / SUMMARY}: {error.strerror}. Make room or fix its permissions and resume the run; "
-            "its log is whole"
-        ) from None
+        complete = loop.train()
+        evaluation = loop.evaluate() if complete else None
+        summary = summarise(settings, run_dir, run, loop, evaluation, time.monotonic() - began_s)
+        summary["complete"] = complete
+        if not outlets.failures:
+            # Before the actors go home: one that is killed while it concludes needs them again.
+            logged = evaluation is None or again.holds("/eval", evaluation.version)
+            record = None if evaluation is None else final_record(evaluation, loop.env_steps)
+            outlets.scalars.add(loop.env_steps, {} if record is None else evaluation_scalars(record))
+            conclude(run_dir, outlets.log, summary, None if logged else record)
+            loop.draw_evaluations()
+    except ReskpnError as error:
+        outlets.events.add("error", "run_failed", str(error))
+        raise
+    finally:
+        loop.dismiss()
+    return summary
 
 
 def _begin(settings: RunSettings, *, resume: bool) -> tuple[Path, Resumption]:
@@ -136,21 +131,6 @@ def _begin(settings: RunSettings, *, resume: bool) -> tuple[Path, Resumption]:
     return settings.run_dir, resumption or fresh
 
 
-class Events:
-    """Things that happened to the run: into the log, and onto the screen."""
-
-    def __init__(self, log: LogWriter, display: Display) -> None:
-        self._log = log
-        self._display = display
-
-    def add(self, level: str, name: str, text: str) -> None:
-        self._display.note(f"{level}: {text}" if level != "info" else text)
-        try:
-            self._log.write("/event", {"level": level, "name": name, "text": text})
-        except LogWriteError:
-            return  # the log's own failure is what stops the run, and is reported by it
-
-
 def refuse_open_doors(settings: RunSettings) -> None:
     """SettingsError where other machines reach a learner that does not ask who they are."""
     transport = settings.transport
@@ -162,76 +142,3 @@ def refuse_open_doors(settings: RunSettings) -> None:
         "listen on tcp/127.0.0.1:<port>, or on tls/<host>:<port> with --transport.certificates (`reskpn certs` makes "
         "them), or give --transport.users, or say --transport.insecure true if the network is trusted"
     )
-
-
-def _open_log(run: str, settings: RunSettings, run_dir: Path, on_error: Any) -> LogWriter:
-    versions = software_versions()
-    commit = source_commit()
-    log = LogWriter(
-        run_dir / "log",
-        segment_bytes=settings.log.segment_bytes,
-        compression=settings.log.compression,
-        metadata={
-            "run": {"run": run, "commit": commit},
-            "settings": {"json": settings.model_dump_json()},
-            "versions": versions,
-            "hardware": hardware(),
-        },
-        attachments={f"{settings.task}.xml": ("application/xml", model_xml(settings.task).encode())},
-        on_error=on_error,
-    )
-    spec = {"run": run, "commit": commit, "settings": settings.model_dump(mode="json"), "versions": versions}
-    log.write("/spec", spec)
-    return log
-
-
-def summarise(
-    settings: RunSettings, run_dir: Path, run: str, loop: Run, evaluation: Evaluation | None, wall_s: float
-) -> dict[str, Any]:
-    """The run in one JSON object; evaluation figures are null where none took place."""
-    returns = None if evaluation is None else evaluation.episode_return
-    return {
-        "run": run,
-        "task": settings.task,
-        "learner": settings.learner,
-        "physics": "+".join(sorted(loop.physics)) or settings.physics,
-        "seed": settings.seed,
-        "actors": settings.actors,
-        "total_steps": loop.env_steps,
-        "updates": loop.env_steps // settings.batch_size,
-        "wall_s": round(wall_s, 3),
-        "env_steps_per_s": loop.steps_per_s,
-        "train_return_mean": loop.returns.late,
-        "train_episodes": loop.returns.episodes,
-        "eval_return_mean": None if returns is None else float(returns.mean()),
-        "eval_return_std": None if returns is None else float(returns.std()),
-        "eval_episodes": 0 if returns is None else len(returns),
-        "state_digest": loop.digest,
-        "log": str(run_dir / "log"),
-    }
-
-
-def describe(summary: dict[str, Any], run_dir: Path) -> Iterator[str]:
-    """The summary for a person."""
-    state = "finished" if summary["complete"] else "stopped early; the log is whole up to here"
-    speed = summary["env_steps_per_s"]
-    yield f"{summary['run']}: {state}"
-    yield (
-        f"  {summary['total_steps']:,} steps in {summary['updates']} updates, {summary['wall_s']:.0f} s in all"
-        + (f", {speed:,.0f} steps/s while training" if speed else "")
-    )
-    if summary["train_return_mean"] is not None:
-        yield f"  training return over the last tenth: {summary['train_return_mean']:,.1f}"
-    if summary["eval_episodes"]:
-        yield (
-            f"  evaluation: {summary['eval_return_mean']:,.1f} ± {summary['eval_return_std']:,.1f} "
-            f"over {summary['eval_episodes']} episodes with the deterministic policy"
-        )
-    yield f"  state digest {summary['state_digest']}"
-    yield f"  log {summary['log']}, summary {run_dir / SUMMARY}, curves {run_dir / 'tensorboard'}"
-
-
-def final_record(evaluation: Evaluation, env_steps: int) -> dict[str, Any]:
-    """The run's own evaluation at its end, as `/eval` has it."""
-    returns, lengths = evaluation.episode_return, evaluation.episode_length
-    return eval_record(evaluation.version, env_steps, returns, lengths, source=OF_THE_RUN, behind=0)

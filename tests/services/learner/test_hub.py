@@ -16,8 +16,8 @@ from common.settings_sources import parse_json
 from common.wire import codec
 from common.wire.keys import JOIN
 from common.wire.messages import JoinReply, Orders, PushReply, Snapshot
-from services.learner import hub as hub_module
-from services.learner.hub import make_snapshot
+from services.learner import hub, joins
+from services.learner.snapshots import make_snapshot
 
 # -- joining -----------------------------------------------------------------------------------------------
 
@@ -95,7 +95,7 @@ def test_who_stands_by_is_known_until_it_has_asked_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """So that a learner that leaves can wait for it to hear that the run is over. A wrong run is no standing by."""
-    monkeypatch.setattr(hub_module, "ASK_AGAIN_S", 0.2)
+    monkeypatch.setattr(joins, "ASK_AGAIN_S", 0.2)
     learner, actor = learners(actors=1, num_envs=2), actors()
     actor.join("a")
     actor.join("b", run="another")
@@ -185,7 +185,7 @@ def test_a_silent_actor_is_dropped(
     learner.events.get(timeout=DEADLINE_S)
     learner.hub.drop_silent()
     assert learner.hub.actors() == 1
-    monkeypatch.setattr(hub_module, "SILENT_S", -1.0)
+    monkeypatch.setattr(hub, "SILENT_S", -1.0)
     learner.hub.drop_silent()
     assert learner.hub.actors() == 0
     assert learner.events.get(timeout=DEADLINE_S)[1] == "actor_lost"

@@ -18,8 +18,10 @@ from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from common.wire.messages import Evaluation
 from services.learner import service
-from services.learner.service import Events, conclude, describe, final_record, refuse_open_doors, summarise
+from services.learner.outlets import Events
+from services.learner.service import refuse_open_doors
 from services.learner.statistics import TrainingReturn
+from services.learner.summary import conclude, describe, final_record, summarise
 
 # -- who can reach it --------------------------------------------------------------------------------------
 
