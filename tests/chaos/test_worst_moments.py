@@ -39,7 +39,7 @@ AT_THE_END = {
     "the last update is made, nothing of it is written": "die before services.learner.run:Run._keep 60",
     "in writing the last state": "die before pathlib:Path.replace 1 00000060.ckpt.part",
     "the evaluation has been asked for": "die after services.learner.hub:Hub.ask_for_evaluation 1",
-    "evaluated, not written": "die before services.learner.service:_eval_record 1",
+    "evaluated, not written": "die before services.learner.service:conclude 1",
     "in writing the summary": "die before pathlib:Path.replace 1 summary.json.part",
     "the summary is written": "die after pathlib:Path.replace 1 summary.json.part",
 }
