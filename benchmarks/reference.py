@@ -34,13 +34,15 @@ from common.runtime import prepare_jax
 Parameters = dict[str, Any]
 Learned = tuple[Parameters, optax.OptState]
 
+LEARNERS = ("ppo", "dpo")
+
 
 @dataclass(frozen=True)
 class Recipe:
     """What is trained, and how."""
 
     task: str
-    learner: str  # "ppo" or "dpo"
+    learner: str  # of LEARNERS
     physics: str = "native"
     num_envs: int = 2048
     num_steps: int = 10
@@ -297,7 +299,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         allow_abbrev=False,
     )
     parser.add_argument("--task", default="hopper", help="environment")
-    parser.add_argument("--learner", default="ppo", choices=("ppo", "dpo"), help="algorithm")
+    parser.add_argument("--learner", default="ppo", choices=LEARNERS, help="algorithm")
     parser.add_argument("--physics", default="native", help="engine")
     parser.add_argument("--steps", type=float, default=1.5e6, help="environment steps, rounded down to whole updates")
     parser.add_argument("--num-envs", type=int, default=2048, metavar="N", help="environments")

@@ -1,6 +1,8 @@
 """What the service costs: the same run in one process and as learner and actors, turn by turn, in fresh processes.
 
-In async mode the phases overlap, and what is learned from depends on the timing: only its speed can be compared.
+`--reference` adds `benchmarks.reference`, the same work by another implementation in one process: a yardstick for the
+machine, whose speed everything else here depends on. In async mode the phases overlap, and what is learned from depends
+on the timing: only its speed can be compared.
 
     make bench
     python -m benchmarks.service --task humanoid --learner reskpn --actors 1 2 --repeats 3 --json result.json
@@ -16,13 +18,15 @@ import json
 import statistics
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 from benchmarks.machine import describe, machine
 from benchmarks.one_process import UPDATES, WARM_UP
 from benchmarks.processes import run_json, run_module
+from benchmarks.reference import LEARNERS, Recipe
 from common.errors import ReskpnError, SettingsError
 from common.log.reader import LogReader
 
@@ -50,9 +54,16 @@ BESIDE = {
 """Overlap with the phases above."""
 
 
+REFERENCE = "reference"
+REFERENCE_SETTINGS = ("task", "learner", "physics", "num_envs", "seed")
+
+
 @dataclass(frozen=True)
 class Sample:
-    """One run: environment steps per second, mean seconds of an update by phase, digest of the last state."""
+    """One run: environment steps per second, mean seconds of an update by phase, digest of the last state.
+
+    The reference tells neither phases nor a digest.
+    """
 
     env_steps_per_s: float
     seconds: dict[str, float]
@@ -80,6 +91,18 @@ def one_process(plan: Plan) -> Sample:
     """The run without the service."""
     result = run_json("benchmarks.one_process", [*plan.settings, "--warm-up", str(plan.warm_up)])
     return Sample(result["env_steps_per_s"], result["seconds"], result["state_digest"])
+
+
+def reference(plan: Plan) -> Sample:
+    """The same work by the other implementation; its clock leaves out the first update alone."""
+    options = dict(zip(plan.settings[::2], plan.settings[1::2], strict=True))
+    words = [word for name in REFERENCE_SETTINGS for word in (option(name), options[option(name)])]
+    result = run_json("benchmarks.reference", [*words, "--steps", options["--total-steps"]])
+    return Sample(result["env_steps_per_s"], {}, "")
+
+
+def option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def service(plan: Plan, actors: int, mode: str) -> Sample:
@@ -115,14 +138,18 @@ def phases(records: Sequence[Mapping[str, float]], update_s: float) -> dict[str,
     return seconds | beside | {"update": update_s}
 
 
-def compare(plan: Plan, actors: Sequence[int], modes: Sequence[str], repeats: int) -> dict[str, list[Sample]]:
-    """Samples by side ("one process", "1 actor", "1 actor async", ...), taken in turns."""
-    sides = {_name(number, mode): (number, mode) for number in actors for mode in modes}
-    samples: dict[str, list[Sample]] = {side: [] for side in ("one process", *sides)}
+def compare(
+    plan: Plan, actors: Sequence[int], modes: Sequence[str], repeats: int, with_reference: bool = False
+) -> dict[str, list[Sample]]:
+    """Samples by side ("one process", "reference", "1 actor", "1 actor async", ...), taken in turns."""
+    sides: dict[str, Callable[[Plan], Sample]] = {"one process": one_process}
+    if with_reference:
+        sides[REFERENCE] = reference
+    sides |= {_name(number, mode): partial(service, actors=number, mode=mode) for number in actors for mode in modes}
+    samples: dict[str, list[Sample]] = {side: [] for side in sides}
     for turn in range(repeats):
-        samples["one process"].append(one_process(plan))
-        for side, (number, mode) in sides.items():
-            samples[side].append(service(plan, number, mode))
+        for side, run in sides.items():
+            samples[side].append(run(plan))
         done = ", ".join(f"{side} {found[-1].env_steps_per_s:,.0f}" for side, found in samples.items())
         print(f"turn {turn + 1} of {repeats}: {done} steps/s", file=sys.stderr, flush=True)
     return samples
@@ -174,15 +201,22 @@ def phase_table(samples: Mapping[str, Sequence[Sample]]) -> Iterator[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    given, further = _parser().parse_known_args(arguments)
+    parser = _parser()
+    given, further = parser.parse_known_args(arguments)
     found = machine()
     batch_size = given.num_envs * given.num_steps
     names = ("task", "learner", "physics", "num_envs", "num_steps", "seed")
-    settings = [word for name in names for word in (f"--{name.replace('_', '-')}", str(getattr(given, name)))]
+    settings = [word for name in names for word in (option(name), str(getattr(given, name)))]
     settings += ["--total-steps", str(given.updates * batch_size), *further]
+    if given.reference and (further or given.learner not in LEARNERS or given.num_steps != Recipe.num_steps):
+        parser.error(
+            f"--reference has the learners {' and '.join(LEARNERS)} with {Recipe.num_steps} steps and fixed settings; "
+            f"given were --learner {given.learner}, --num-steps {given.num_steps} and settings: "
+            f"{' '.join(further) or 'none'}. Leave it out, or them"
+        )
     try:
         plan = Plan(settings, batch_size, given.updates, given.warm_up)
-        samples = compare(plan, given.actors, given.modes, given.repeats)
+        samples = compare(plan, given.actors, given.modes, given.repeats, given.reference)
     except ReskpnError as error:
         print(f"service: {error}", file=sys.stderr)
         return error.exit_code
@@ -219,6 +253,7 @@ def _parser() -> argparse.ArgumentParser:
         "--actors", type=int, nargs="+", default=[1, 2], metavar="N", help="numbers of actors to measure"
     )
     parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES, help="modes to measure with each number")
+    parser.add_argument("--reference", action="store_true", help="measure benchmarks.reference, too")
     parser.add_argument("--repeats", type=int, default=3, metavar="N", help="runs of each kind, in turns")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every sample there, too")
     return parser

@@ -151,6 +151,33 @@ def test_what_cannot_be_measured_is_refused(
     assert "--warm-up is 0; it must be at least 1" in capsys.readouterr().err
 
 
+def test_the_reference_gets_the_same_work_and_refuses_settings_that_it_has_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its command parses as the reference's own does, and asks for as many updates of the same batch."""
+    asked: list[str] = []
+
+    def run_json(module: str, arguments: list[str]) -> dict[str, float]:
+        asked.extend([module, *arguments])
+        return {"env_steps_per_s": 7.0}
+
+    monkeypatch.setattr(service, "run_json", run_json)
+    names = ("task", "learner", "physics", "num-envs", "num-steps", "seed")
+    values = ("hopper", "dpo", "auto", "64", "10", "3")
+    settings = [word for name, value in zip(names, values, strict=True) for word in (f"--{name}", value)]
+    plan = service.Plan([*settings, "--total-steps", "3200"], 640, 5, 2)
+    assert service.reference(plan).env_steps_per_s == 7.0
+    assert asked[0] == "benchmarks.reference"
+    assert asked[1:] == [
+        *("--task", "hopper", "--learner", "dpo", "--physics", "auto", "--num-envs", "64", "--seed", "3"),
+        *("--steps", "3200"),
+    ]
+    for wrong in (["--learner", "reskpn"], ["--num-steps", "5"], ["--algorithm.hidden", "8,8"]):
+        with pytest.raises(SystemExit):
+            service.main([*TINY, "--reference", *wrong])
+        assert wrong[1] in capsys.readouterr().err
+
+
 def test_a_failed_process_says_why() -> None:
     """The last words of the process are in the error, not only its exit code."""
     with pytest.raises(ProcessError, match=r"-m json\.tool /nowhere ended with exit code (.|\n)*No such file"):
