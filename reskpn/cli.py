@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Residual Kernel Policy Network: kernel-policy reinforcement learning as a service.",
     )
     commands = parser.add_subparsers(
-        dest="command", required=True, metavar="{train,learner,actor,evaluator,status,doctor,replay,certs}"
+        dest="command", required=True, metavar="{train,learner,actor,evaluator,status,doctor,replay,certs,router}"
     )
     _add_train(commands)
     _add_learner(commands)
@@ -59,6 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _add_doctor(commands)
     _add_replay(commands)
     _add_certs(commands)
+    _add_router(commands)
     given = parser.parse_args(arguments)
     try:
         code: int = given.call(given)
@@ -293,6 +294,30 @@ def _add_certs(commands: Any) -> None:
     text = "make the certificates of a run: an authority, and what it vouches for"
     parser = _command(commands, "certs", text, certs, EPILOG)
     add_certs_options(parser)
+
+
+def _add_router(commands: Any) -> None:
+    def call(given: argparse.Namespace) -> int:
+        from reskpn.supervised import stopping
+        from services.router.service import run_router
+
+        transport = over(load(config=given.config).transport, given)
+        if given.insecure:
+            transport = transport.model_copy(update={"insecure": True})
+        with stopping(supervised=False) as stop:
+            return run_router(transport, stop=stop, say=lambda text: print(text, flush=True))
+
+    text = "pass messages on between a learner and actors that cannot reach it, from a host that both reach"
+    epilog = f"""\
+The learner and the others then have transport.router ({PREFIX}TRANSPORT__ROUTER=true), and the router's address as
+their endpoint. The certificates it shows are the learner's, made for its address: `reskpn certs --hosts ROUTER`.
+Who may come in is transport.actor_names and transport.viewer_names, from --config or the environment.
+
+{EXIT_CODES}"""
+    parser = _command(commands, "router", text, call, epilog)
+    add_connection(parser, what="where it listens")
+    parser.add_argument("--config", metavar="FILE", help="YAML file of settings; its transport section is used")
+    parser.add_argument("--insecure", action="store_true", help="allow an address beyond loopback that asks nobody")
 
 
 def _refuse_strays(given: argparse.Namespace) -> None:

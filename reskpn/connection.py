@@ -8,12 +8,10 @@ from pathlib import Path
 from common.settings import TransportSettings
 
 
-def add_connection(parser: argparse.ArgumentParser, of: str = "") -> None:
-    """`of` begins the help, where the options go with one use of the command only."""
+def add_connection(parser: argparse.ArgumentParser, of: str = "", what: str = "where the learner listens") -> None:
+    """`of` begins the help, where the options go with one use of the command only; `what` is at the address."""
     default = TransportSettings().endpoint
-    parser.add_argument(
-        "--endpoint", metavar="ADDRESS", help=f"{of}where the learner listens, tcp|tls/HOST:PORT (default: {default})"
-    )
+    parser.add_argument("--endpoint", metavar="ADDRESS", help=f"{of}{what}, tcp|tls/HOST:PORT (default: {default})")
     parser.add_argument(
         "--certificates", type=Path, metavar="DIR", help=f"{of}of who this is, as `reskpn certs` makes them, for tls/"
     )

@@ -1,4 +1,4 @@
-"""`python -m reskpn.health learner | actor | evaluator`: whether that service of this machine does its work.
+"""`python -m reskpn.health learner | router | actor | evaluator`: whether that service of this machine does its work.
 
 Run every few seconds beside the service, so it is no part of `reskpn`, whose settings alone take a second to load.
 """
@@ -41,22 +41,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print how the service is; returns 0 where it does its work, 1 where not, 2 for a file that is not an actor's."""
     parser = argparse.ArgumentParser(
         prog="python -m reskpn.health",
-        description="Say whether a learner answers those who want to join, or an actor or evaluator has a policy.",
+        description="Say whether a learner answers those who want to join, a router lets in those who have their "
+        "certificates, or an actor or evaluator has a policy.",
         epilog="exit codes: 0 it is so, 1 it is not, 2 what was given is not possible",
     )
     services = parser.add_subparsers(dest="service", required=True)
-    learner = services.add_parser("learner")
-    learner.add_argument("--endpoint", default="tcp/127.0.0.1:7447", metavar="ADDRESS", help="default: %(default)s")
-    learner.add_argument("--timeout", type=float, default=5.0, metavar="S", help="how long to wait (%(default)s)")
-    learner.add_argument("--certificates", type=Path, metavar="DIR", help="those of the learner, or of an actor")
-    learner.add_argument("--users", type=Path, metavar="FILE", help="with a user:password that the learner lets in")
+    for name in ("learner", "router"):
+        add = services.add_parser(name).add_argument
+        add("--endpoint", default="tcp/127.0.0.1:7447", metavar="ADDRESS", help="default: %(default)s")
+        add("--timeout", type=float, default=5.0, metavar="S", help="how long to wait (%(default)s)")
+        add("--certificates", type=Path, metavar="DIR", help="those of the learner, or of an actor")
+        add("--users", type=Path, metavar="FILE", help=f"with a user:password that the {name} lets in")
     for name in ("actor", "evaluator"):
         follower = services.add_parser(name)
         follower.add_argument("--state-file", type=Path, required=True, metavar="FILE", help="as it was given to it")
     given = parser.parse_args(arguments)
     try:
-        if given.service == "learner":
-            health = learner_health(given.endpoint, given.timeout, Credentials(given.certificates, given.users))
+        if given.service in ("learner", "router"):
+            examine = learner_health if given.service == "learner" else router_health
+            health = examine(given.endpoint, given.timeout, Credentials(given.certificates, given.users))
         else:
             health = follower_health(given.service, given.state_file)
     except ReskpnError as error:
@@ -82,6 +85,19 @@ def learner_health(endpoint: str, timeout_s: float, credentials: Credentials = N
     except ReskpnError as error:
         return Health(False, f"the learner takes no joins: {error}")
     return Health(True, f"the learner answers joins for run {reply.run}")
+
+
+def router_health(endpoint: str, timeout_s: float, credentials: Credentials = NOBODY) -> Health:
+    """Whether the router at the endpoint lets in who has these credentials. There need be no learner behind it."""
+    from common.wire.session import open_session
+
+    try:
+        with open_session(
+            connect=[endpoint], connect_timeout_s=timeout_s, max_message_size=MESSAGE_BYTES, credentials=credentials
+        ):
+            return Health(True, f"the router at {endpoint} lets in who has credentials")
+    except ReskpnError as error:
+        return Health(False, f"the router lets nobody in: {error}")
 
 
 def follower_health(service: str, state_file: Path) -> Health:

@@ -109,19 +109,14 @@ def publish_run(path: Path, transport: TransportSettings, rate: float | None, de
         SettingsError: other machines reach the endpoint, it asks nobody who he is, and `insecure` was not said.
     """
     from common.wire.credentials import Credentials
-    from common.wire.endpoint import is_loopback
+    from common.wire.door import refuse_open_doors
     from reskpn.supervised import stopping
     from services.player.service import run_player
 
     run = open_run(path)
     total = updates_to_read(run, None)
     endpoint, credentials = transport.endpoint, Credentials.of(transport)
-    if not (is_loopback(endpoint) or transport.insecure or credentials.authenticate(endpoint)):
-        raise SettingsError(
-            f"--endpoint {endpoint} can be reached from other machines and has no authentication; listen on "
-            "tcp/127.0.0.1:<port>, or on tls/<host>:<port> with --certificates, give --users, or say --insecure if the "
-            "network is trusted"
-        )
+    refuse_open_doors(transport, as_options=True)
     pace = "as fast as possible" if rate is None else f"at {rate:g} times its pace"
     print(f"{run.run}: playing {total} updates {pace}; listening on {endpoint}", flush=True)
     with stopping(supervised=False) as stop, progress_bar() as bar:

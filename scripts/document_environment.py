@@ -49,9 +49,16 @@ HEAD = """\
 # EVALUATOR_MEMORY=0
 # TENSORBOARD_CPUS=0
 # TENSORBOARD_MEMORY=0
+# ROUTER_CPUS=0
+# ROUTER_MEMORY=0
 
 # Of `docker compose --profile tensorboard up`: the port of this machine, on 127.0.0.1, that shows the curves.
 # TENSORBOARD_PORT=6006
+
+# Of `docker compose --profile router up router`: the port of this machine that other hosts reach, and the folder that
+# `reskpn certs` made, whose learner/ user 10001 must be able to read.
+# ROUTER_PORT=7447
+# CERTIFICATES=./certs
 
 # Where runs are kept: a volume, or a folder of this machine (./runs), which user 10001 must be able to write.
 # RUNS=runs

@@ -90,20 +90,32 @@ def test_tensorboard_sees_the_runs_and_nothing_else(compose: dict[str, Any]) -> 
     assert service["read_only"] is True
 
 
+def test_the_router_is_no_part_of_the_run(compose: dict[str, Any]) -> None:
+    """It is started when asked for, asks for certificates, and is on no network of the others."""
+    service = compose["services"]["router"]
+    assert service["profiles"] == ["router"]
+    assert service["networks"] == ["hosts"]
+    assert [filled(port) for port in service["ports"]] == ["7447:7447"]
+    assert [filled(volume) for volume in service["volumes"]] == ["./certs/learner:/certs:ro"]
+    assert not any("INSECURE" in name for name in service.get("environment", {}))
+    assert "--insecure" not in service["command"]
+
+
 def test_commands_are_those_there_are(compose: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """With the options that they are given: parsed as in the container, up to the work itself."""
     called: list[str] = []
     monkeypatch.setattr("services.learner.service.run_learner", lambda *_, **__: called.append("learner") or 0)
     monkeypatch.setattr("services.actor.service.run_actor", lambda *_, **__: called.append("actor") or 0)
     monkeypatch.setattr("services.evaluator.service.run_evaluator", lambda *_, **__: called.append("evaluator") or 0)
+    monkeypatch.setattr("services.router.service.run_router", lambda *_, **__: called.append("router") or 0)
     monkeypatch.setattr("reskpn.cli.run_to_resume", lambda _: None)
-    for service in ("learner", "actor", "evaluator"):
+    for service in ("learner", "actor", "evaluator", "router"):
         words = [filled(word) for word in compose["services"][service]["command"]]
         assert cli.main(words) == 0
-    assert called == ["learner", "actor", "evaluator"]
+    assert called == ["learner", "actor", "evaluator", "router"]
 
 
-@pytest.mark.parametrize("service", ["learner", "actor", "evaluator"])
+@pytest.mark.parametrize("service", ["learner", "actor", "evaluator", "router"])
 def test_checks_are_of_the_file_that_is_kept(compose: dict[str, Any], service: str) -> None:
     """The health check's options are possible, and its state file is the one that the service is told to keep."""
     check = compose["services"][service]["healthcheck"]["test"]
@@ -111,6 +123,8 @@ def test_checks_are_of_the_file_that_is_kept(compose: dict[str, Any], service: s
     command = compose["services"][service]["command"]
     if "--state-file" in command:
         assert check[5:] == ["--state-file", command[command.index("--state-file") + 1]]
+    if "--certificates" in command:
+        assert check[-2:] == command[command.index("--certificates") :]
 
 
 def test_every_target_is_a_stage(compose: dict[str, Any]) -> None:

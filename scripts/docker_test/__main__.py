@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import secrets
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable
+from pathlib import Path
 
+from reskpn.authority import make_all
 from scripts.docker_test.engine import CannotRun, Engine, some_engine
 from scripts.docker_test.project import build, project
 from scripts.docker_test.story import ENVS, SETTINGS, STEPS, Story
@@ -46,7 +49,10 @@ def _all_checks(engine: Engine, say: Callable[[str], None]) -> tuple[int, int]:
     images = {"IMAGE": IMAGE, "TENSORBOARD_IMAGE": TENSORBOARD_IMAGE}
     with project(engine, name, **images, **SETTINGS) as made:
         story = Story(made)
-        steps = story.steps() | {"up in the foreground ends with exit code 0": lambda: _plain_up(engine, name)}
+        steps = story.steps() | {
+            "up in the foreground ends with exit code 0": lambda: _plain_up(engine, name),
+            "a router lets in who has its certificates": lambda: _router(engine, name),
+        }
         for passed, (what, step) in enumerate(steps.items()):
             try:
                 step()
@@ -70,6 +76,24 @@ def _plain_up(engine: Engine, name: str) -> None:
         assert "finished" in said, said
         assert made.updates() == 20, said
         assert not made.running()
+
+
+def _router(engine: Engine, name: str) -> None:
+    """By its profile, with certificates of this machine; its health check goes in by the same door as an actor."""
+    with tempfile.TemporaryDirectory() as folder:
+        certificates = Path(folder) / "certs"
+        make_all(certificates, ["router"], days=1)
+        for path in (Path(folder), *certificates.rglob("*")):
+            path.chmod(0o755 if path.is_dir() else 0o644)  # throwaway keys, for the container's user to read
+        settings = {"IMAGE": IMAGE, "CERTIFICATES": str(certificates), "ROUTER_PORT": "0"}
+        with project(engine, f"{name}-router", **settings) as made:
+            made.compose("--profile", "router", "up", "-d", "--no-build", "router")
+            (router,) = made.containers("router")
+            made.wait_for("health of the router", lambda: made.health(router) == "healthy", deadline_s=120.0)
+            assert made.running() == []  # it is no part of a run
+            made.docker("stop", router)
+            assert made.state(router)["ExitCode"] == 0
+            assert "stopped; refused connections: none" in made.words(router)
 
 
 if __name__ == "__main__":

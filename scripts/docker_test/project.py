@@ -96,18 +96,9 @@ def project(engine: Engine, name: str, **settings: str) -> Iterator[Project]:
     try:
         yield made
     finally:
+        profiles = ["--profile", "tensorboard", "--profile", "router"]
         subprocess.run(
-            [
-                *engine.compose,
-                "-f",
-                str(ROOT / "docker-compose.yml"),
-                "--profile",
-                "tensorboard",
-                "down",
-                "-v",
-                "-t",
-                "2",
-            ],
+            [*engine.compose, "-f", str(ROOT / "docker-compose.yml"), *profiles, "down", "-v", "-t", "2"],
             env=made.environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

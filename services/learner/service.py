@@ -9,19 +9,18 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from common.errors import ReskpnError, SettingsError
+from common.errors import ReskpnError
 from common.memory import keep_large_blocks
 from common.run_directory import SETTINGS, SUMMARY, prepare_run_dir, write_json
 from common.runtime import prepare_jax
 from common.settings import RunSettings
-from common.wire.credentials import Credentials
-from common.wire.endpoint import is_loopback
+from common.wire.door import make_door, refuse_open_doors
 from common.wire.session import Session
 from services.learner.again import Again
 from services.learner.checkpoints import Checkpoints
-from services.learner.door import make_door, open_to_actors
 from services.learner.evaluations import scalars as evaluation_scalars
 from services.learner.hub import Hub
+from services.learner.meeting import open_to_actors
 from services.learner.outlets import Outlets, open_outlets
 from services.learner.resume import Resumption, resume_run
 from services.learner.run import Run
@@ -41,7 +40,7 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
         ReskpnError: anything that keeps the run from going on. The log is closed and whole then.
     """
     began_s = time.monotonic()
-    refuse_open_doors(settings)
+    refuse_open_doors(settings.transport)
     prepare_jax()
     keep_large_blocks()
     with ExitStack() as stack:
@@ -129,16 +128,3 @@ def _begin(settings: RunSettings, *, resume: bool) -> tuple[Path, Resumption]:
     write_json(settings.run_dir / SETTINGS, settings.model_dump(mode="json"))
     (settings.run_dir / SUMMARY).unlink(missing_ok=True)  # of a run that was stopped: it is not over
     return settings.run_dir, resumption or fresh
-
-
-def refuse_open_doors(settings: RunSettings) -> None:
-    """SettingsError where other machines reach a learner that does not ask who they are."""
-    transport = settings.transport
-    known = Credentials.of(transport).authenticate(transport.endpoint)
-    if known or is_loopback(transport.endpoint) or transport.insecure:
-        return
-    raise SettingsError(
-        f"transport.endpoint {transport.endpoint} can be reached from other machines and has no authentication; "
-        "listen on tcp/127.0.0.1:<port>, or on tls/<host>:<port> with --transport.certificates (`reskpn certs` makes "
-        "them), or give --transport.users, or say --transport.insecure true if the network is trusted"
-    )

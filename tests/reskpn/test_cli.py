@@ -143,7 +143,7 @@ def test_help_of_an_actor(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        ([], "the following arguments are required: {train,learner,actor,evaluator,status,doctor,replay,certs}"),
+        ([], "the following arguments are required: {train,learner,actor,evaluator,status,doctor,replay,certs,router}"),
         (["trian"], "invalid choice: 'trian'"),
         (["train", "--algorithm.gama", "1"], "unrecognized arguments: --algorithm.gama 1"),
         (["train", "--ta", "hopper"], "unrecognized arguments: --ta hopper"),

@@ -98,3 +98,12 @@ def test_a_file_that_is_no_actors(tmp_path: Path, capsys: pytest.CaptureFixture[
     file.write_text("hello")
     assert main(["actor", "--state-file", str(file)]) == 2
     assert "is not one that an actor keeps" in capsys.readouterr().err
+
+
+def test_a_router_that_lets_in_is_well(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a learner behind it, too; where nothing listens it is not well."""
+    with open_session(listen=[endpoint], max_message_size=1 << 20, options={"mode": "router"}):
+        assert main(["router", "--endpoint", endpoint, "--timeout", "15"]) == 0
+    assert capsys.readouterr().out == f"the router at {endpoint} lets in who has credentials\n"
+    assert main(["router", "--endpoint", endpoint, "--timeout", "0.2"]) == 1
+    assert f"lets nobody in: no connection to {endpoint} within 0.2 s" in capsys.readouterr().out

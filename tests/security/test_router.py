@@ -1,35 +1,77 @@
-"""Through a router, with the configuration that `zenohd` is given; the router here is Zenoh's own, in this process."""
+"""Through a router: `reskpn router`, or Zenoh's own in this process with the configuration that `zenohd` is given."""
 
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from queue import Queue
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import pytest
 import zenoh
 from guarded_sides import KEYS, REFUSED_S, GuardedLearner, Outside, until
 from samples import heartbeat, question, rollout
 
-from common.errors import SessionError
+from common.errors import SessionError, SettingsError
 from common.settings import TransportSettings
 from common.wire.credentials import Credentials
 from common.wire.endpoint import free_port
 from common.wire.keys import JOIN
 from common.wire.messages import Orders
 from scripts.document_router import FILE, content
+from services.router.service import run_router
 
 
-@pytest.fixture
-def router(certificates: Path, tmp_path: Path) -> Iterator[str]:
+class RouterService:
+    """`reskpn router` on a thread; may be ended and entered again, at the same address."""
+
+    def __init__(self, certificates: Path) -> None:
+        self.endpoint = f"tls/127.0.0.1:{free_port()}"
+        self.said: list[str] = []
+        self._transport = TransportSettings(endpoint=self.endpoint, certificates=certificates / "learner")
+        self._codes: list[int] = []
+
+    def __enter__(self) -> Self:
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+        until(lambda: any("listening" in line for line in self.said) or not self._thread.is_alive())
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._thread.join()
+        assert self._codes.pop() == 0
+
+    def _run(self) -> None:
+        self._codes.append(run_router(self._transport, stop=self._stop, say=self.said.append))
+
+
+@contextmanager
+def by_file(certificates: Path, folder: Path) -> Iterator[str]:
     """Its address. Only places of files and the address differ from the file."""
     endpoint = f"tls/127.0.0.1:{free_port()}"
     made = FILE.read_text().replace("/certs/", f"{certificates / 'learner'}/").replace("tls/0.0.0.0:7447", endpoint)
-    (tmp_path / "zenohd.json5").write_text(made)
-    with zenoh.open(zenoh.Config.from_file(str(tmp_path / "zenohd.json5"))):
+    (folder / "zenohd.json5").write_text(made)
+    with zenoh.open(zenoh.Config.from_file(str(folder / "zenohd.json5"))):
         yield endpoint
+
+
+@pytest.fixture(params=["service", "file"])
+def router(request: pytest.FixtureRequest, certificates: Path, tmp_path: Path) -> Iterator[str]:
+    """Its address."""
+    if request.param == "file":
+        with by_file(certificates, tmp_path) as endpoint:
+            yield endpoint
+    else:
+        with RouterService(certificates) as service:
+            yield service.endpoint
 
 
 def test_the_file_is_current() -> None:
@@ -74,3 +116,39 @@ def test_a_run_through_a_router(
     assert True not in heard.queue
     actor.session.close()
     until(lambda: viewer.report().actors == [])
+
+
+def test_the_router_tells_whom_it_refused(certificates: Path, foreign: Path, outside: Callable[..., Outside]) -> None:
+    """Each reason once, and all of them counted when it stops."""
+    with RouterService(certificates) as service:
+        assert service.said == [f"router: listening on {service.endpoint}; lets in learner, actor, viewer"]
+        with pytest.raises(SessionError, match="was not accepted here"):
+            outside(service.endpoint, Credentials(foreign / "actor"), connect_timeout_s=REFUSED_S)
+        until(lambda: len(service.said) > 1)
+        assert "refused (1 times so far): somebody did not accept" in service.said[1]
+    assert service.said[-1].startswith("router: stopped; refused connections: untrusted ")
+
+
+def test_a_router_that_is_started_again(
+    certificates: Path,
+    learners: Callable[[TransportSettings], GuardedLearner],
+    outside: Callable[..., Outside],
+) -> None:
+    """Learner and actor find each other again, and go on with nothing lost."""
+    service = RouterService(certificates)
+    with service:
+        transport = TransportSettings(endpoint=service.endpoint, certificates=certificates / "learner", router=True)
+        learner = learners(transport)
+        actor = outside(service.endpoint, Credentials(certificates / "actor"))
+        assert actor.join("a").accepted
+        assert actor.push(rollout(0, "a")).status == "accepted"
+    with service:
+        assert actor.ask(KEYS.policy_latest)
+        assert actor.push(rollout(0, "a", seq=1)).status == "accepted"
+    assert learner.logged() == 2
+
+
+def test_a_router_that_asks_nobody_stays_on_this_machine() -> None:
+    """Unless it is said that it may not."""
+    with pytest.raises(SettingsError, match=r"--endpoint tcp/0\.0\.0\.0:7447 can be reached .* say --insecure"):
+        run_router(TransportSettings(endpoint="tcp/0.0.0.0:7447"), stop=threading.Event(), say=print)

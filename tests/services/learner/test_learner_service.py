@@ -1,4 +1,4 @@
-"""What the learner's process does around a run: its doors, its summary, its events."""
+"""What the learner's process does around a run: its summary, its events."""
 
 from __future__ import annotations
 
@@ -13,47 +13,14 @@ import numpy as np
 import pytest
 from samples import settings
 
-from common.errors import LogWriteError, SessionError, SettingsError
+from common.errors import LogWriteError, SessionError
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from common.wire.messages import Evaluation
 from services.learner import service
 from services.learner.outlets import Events
-from services.learner.service import refuse_open_doors
 from services.learner.statistics import TrainingReturn
 from services.learner.summary import conclude, describe, final_record, summarise
-
-# -- who can reach it --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "tcp/localhost:7447"])
-def test_loopback_needs_no_authentication(endpoint: str) -> None:
-    """Only processes of this machine reach it."""
-    refuse_open_doors(settings(transport={"endpoint": endpoint}))
-
-
-@pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7447", "tcp/192.0.2.1:7447", "tcp/learner.example:7447"])
-def test_an_open_door_is_refused_unless_it_is_wanted(endpoint: str) -> None:
-    """Beyond this machine the user must say that it may be so."""
-    with pytest.raises(SettingsError, match=r"has no authentication; listen on .* or say --transport\.insecure true"):
-        refuse_open_doors(settings(transport={"endpoint": endpoint}))
-    refuse_open_doors(settings(transport={"endpoint": endpoint, "insecure": True}))
-
-
-def test_a_door_with_a_lock_may_be_reached(tmp_path: Path) -> None:
-    """Certificates on an encrypted address, or passwords on any."""
-    locked = {"endpoint": "tls/0.0.0.0:7447", "certificates": tmp_path}
-    refuse_open_doors(settings(transport=locked))
-    refuse_open_doors(settings(transport={"endpoint": "tcp/0.0.0.0:7447", "users": tmp_path / "users"}))
-    with pytest.raises(SettingsError, match="has no authentication"):
-        refuse_open_doors(settings(transport=locked | {"endpoint": "tcp/0.0.0.0:7447"}))
-
-
-def test_what_is_no_address_is_refused() -> None:
-    """With an example of one."""
-    with pytest.raises(SessionError, match=r"'7447' is not an address: .* as in tcp/127\.0\.0\.1:7447"):
-        refuse_open_doors(settings(transport={"endpoint": "7447"}))
-
 
 # -- the summary -------------------------------------------------------------------------------------------
 

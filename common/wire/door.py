@@ -1,60 +1,45 @@
-"""Who comes in: the learner's session with its access control, and a count of those who were refused."""
+"""Who comes in where a process listens: authentication beyond loopback, and a count of those who were refused."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
+from common.errors import SettingsError
 from common.printable import printable
-from common.settings import TransportSettings
-from common.wire.access import LEARNER, Names, access_control
+from common.wire.access import LEARNER
 from common.wire.credentials import Credentials
+from common.wire.endpoint import is_loopback
 from common.wire.refusals import REASONS, StandardOutputTap, of_zenoh, refusal
-from common.wire.session import Session, log_refused_connections, open_session
+from common.wire.session import Session, log_refused_connections
 
-ROUTER_S = 60.0
-"""How long a learner waits for its router."""
+if TYPE_CHECKING:
+    from common.settings import TransportSettings
 
 OnRefused = Callable[[str, str], None]
 """(reason, a sentence on it)."""
 
 
-def open_to_actors(transport: TransportSettings) -> Session:
-    """The learner's session. Who has a name in its settings may do what his role may; without credentials, everyone.
+def refuse_open_doors(transport: TransportSettings, *, as_options: bool = False) -> None:
+    """SettingsError where other machines reach a listener that does not ask who they are.
 
-    Raises `SessionError` and `SettingsError` as `open_session`.
+    `as_options`: it was given by options of a command, and not as settings of a run.
     """
-    if transport.router:
-        return _open_at_router(transport)
-    access = {}
-    if Credentials.of(transport).authenticate(transport.endpoint):
-        names = Names(transport.actor_names, transport.viewer_names)
-        access = access_control(names, by_password=transport.users is not None)
-    return open_session(
-        listen=[transport.endpoint],
-        max_message_size=transport.max_message_bytes,
-        lease_s=transport.lease_s,
-        credentials=Credentials.of(transport),
-        options=access,
-    )
-
-
-def _open_at_router(transport: TransportSettings) -> Session:
-    """A session with a router, which knows who may do what."""
-    return open_session(
-        connect=[transport.endpoint],
-        connect_timeout_s=ROUTER_S,
-        max_message_size=transport.max_message_bytes,
-        lease_s=transport.lease_s,
-        credentials=Credentials.of(transport),
-        router=True,
+    known = Credentials.of(transport).authenticate(transport.endpoint)
+    if known or is_loopback(transport.endpoint) or transport.insecure:
+        return
+    name, yes = ("--", "") if as_options else ("--transport.", " true")
+    raise SettingsError(
+        f"{name}endpoint {transport.endpoint} can be reached from other machines and has no authentication; listen on "
+        f"tcp/127.0.0.1:<port>, or on tls/<host>:<port> with {name}certificates (`reskpn certs` makes them), or give "
+        f"{name}users, or say {name}insecure{yes} if the network is trusted"
     )
 
 
 class OpenDoor:
-    """For a learner that refuses nobody."""
+    """For a listener that refuses nobody."""
 
     def __enter__(self) -> Self:
         return self
@@ -103,6 +88,6 @@ class GuardedDoor(OpenDoor):
 
 
 def make_door(transport: TransportSettings) -> OpenDoor:
-    """Guarded where the learner asks who comes in."""
+    """Guarded where the listener asks who comes in. A learner at a router does not listen: the router's door counts."""
     guarded = Credentials.of(transport).authenticate(transport.endpoint) and not transport.router
     return GuardedDoor(transport) if guarded else OpenDoor()

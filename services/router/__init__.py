@@ -1,0 +1,1 @@
+"""The router: passes messages on between a learner and actors that cannot reach it."""

@@ -1,0 +1,61 @@
+"""The router as a process: Zenoh's own, with the access control of a learner, and a count of those it refused."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Callable
+
+from common.settings import TransportSettings
+from common.wire.access import Names, router_access_control
+from common.wire.credentials import Credentials
+from common.wire.door import make_door, refuse_open_doors
+from common.wire.session import open_session
+
+REPEATED = 100
+"""Of one reason, every so manieth refusal is told."""
+
+
+def run_router(transport: TransportSettings, *, stop: threading.Event, say: Callable[[str], None]) -> int:
+    """Pass messages on until `stop` is set. Returns 0.
+
+    Args:
+        transport: where it listens, the certificates that it shows (a learner's, made for the router's address), or
+            its users; and the names that it lets in. Without credentials it lets everyone do everything.
+        say: gets a line for a person: where it listens, who was refused.
+
+    Raises:
+        SettingsError: credentials that cannot be used, or none where other machines reach it.
+        SessionError: an address that cannot be listened on.
+    """
+    here = transport.model_copy(update={"router": False})  # who uses one is told so; this is it
+    refuse_open_doors(here, as_options=True)
+    credentials = Credentials.of(here)
+    access = {}
+    if credentials.authenticate(here.endpoint):
+        names = Names(here.actor_names, here.viewer_names)
+        access = router_access_control(names, by_password=here.users is not None)
+    refused: Counter[str] = Counter()
+
+    def on_refused(reason: str, text: str) -> None:
+        refused[reason] += 1
+        if refused[reason] % REPEATED == 1:
+            say(f"refused ({refused[reason]:,} times so far): {text}")
+
+    with (
+        make_door(here) as door,
+        open_session(
+            listen=[here.endpoint],
+            max_message_size=here.max_message_bytes,
+            lease_s=here.lease_s,
+            credentials=credentials,
+            options={"mode": "router", **access},
+        ) as session,
+    ):
+        door.watch(session, on_refused)
+        whom = f"lets in {', '.join(['learner', *here.actor_names, *here.viewer_names])}" if access else "asks nobody"
+        say(f"router: listening on {here.endpoint}; {whom}")
+        stop.wait()
+    told = ", ".join(f"{reason} {count:,}" for reason, count in sorted(refused.items()))
+    say(f"router: stopped; refused connections: {told or 'none'}")
+    return 0
