@@ -8,7 +8,6 @@ Nothing of a chunk is given out before all of it is checked.
 from __future__ import annotations
 
 import struct
-import zlib
 from dataclasses import dataclass
 from typing import BinaryIO, Protocol
 
@@ -16,6 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk
 from mcap.stream_reader import get_chunk_data_stream
 
+from common.log.checksums import crc32
 from common.log.framing import RECORD_HEAD, Frame, damaged, exactly, parse
 from common.log.records import LogMessage
 
@@ -98,7 +98,7 @@ def _walk(source: _Source, frame: Frame, size: int) -> tuple[list[tuple[bytes, b
     crc, left = 0, size
     while left:
         head = source.read(min(RECORD_HEAD.size, left))
-        crc = zlib.crc32(head, crc)
+        crc = crc32(head, crc)
         left -= len(head)
         if len(head) < RECORD_HEAD.size:
             raise damaged(frame.path, frame.start, "a chunk ends within a record")
@@ -109,7 +109,7 @@ def _walk(source: _Source, frame: Frame, size: int) -> tuple[list[tuple[bytes, b
         data = source.read(length - len(prefix))
         if len(prefix) + len(data) != length:
             raise damaged(frame.path, frame.start, "a chunk is shorter than its head says")
-        crc = zlib.crc32(data, zlib.crc32(prefix, crc))
+        crc = crc32(data, crc32(prefix, crc))
         left -= length
         if opcode == Opcode.MESSAGE:
             payloads.append((prefix, data))

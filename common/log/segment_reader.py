@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -18,6 +17,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Statistics
 from mcap.stream_reader import StreamReader
 
 from common.errors import LogReadError
+from common.log.checksums import crc32
 from common.log.chunks import read_chunk, read_chunk_head
 from common.log.framing import MAGIC, RECORD_HEAD, Frame, TornTail, damaged, exactly, parse
 from common.log.records import LogMessage
@@ -90,7 +90,7 @@ class SegmentReader:
         """The attachments: name -> (media type, content)."""
         found: dict[str, tuple[str, bytes]] = {}
         for frame, content in self._before_chunks(Opcode.ATTACHMENT):
-            if zlib.crc32(content[:-_CRC_BYTES]) != int.from_bytes(content[-_CRC_BYTES:], "little"):
+            if crc32(content[:-_CRC_BYTES]) != int.from_bytes(content[-_CRC_BYTES:], "little"):
                 raise self._damaged(frame.start, "the CRC of an attachment does not match")
             record = parse(Attachment, frame, content)
             found[record.name] = (record.media_type, record.data)
@@ -139,7 +139,7 @@ class SegmentReader:
                 raise self._damaged(footer, "the footer points outside the file")
             file.seek(start)
             content = exactly(file, self.size - start, self.path)
-        if zlib.crc32(content[: footer + _FOOTER.size - _CRC_BYTES - start]) != crc:
+        if crc32(content[: footer + _FOOTER.size - _CRC_BYTES - start]) != crc:
             raise self._damaged(start, "the CRC of the summary does not match")
         return self._parse_summary(content, start)
 

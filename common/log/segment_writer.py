@@ -11,6 +11,7 @@ from typing import IO, Literal, cast
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
+from common.log.checksums import use_in_writer
 from common.log.records import CHANNELS, ChannelSpec, encode_json
 from common.log.segments import sync_directory
 
@@ -25,6 +26,8 @@ _COMPRESSION = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4}
 _ENCODING = {"json": MessageEncoding.JSON, "msgpack": MessageEncoding.MessagePack}
 _CHUNK_BYTES = 1_000_000
 _NO_SCHEMA = 0
+
+use_in_writer()
 
 
 class _Output:
