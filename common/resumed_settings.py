@@ -21,11 +21,16 @@ MAY_CHANGE = ("transport.", "total_steps", "run_dir")
 
 @dataclass(frozen=True)
 class Interrupted:
-    """A run directory as it was left. `complete`: all updates of `settings` were made, and evaluated."""
+    """A run directory as it was left.
+
+    `complete`: all updates of `settings` were made, and evaluated. `closed`: its log was finished, which is the last
+    that a learner does, after its actors have heard that the run is over.
+    """
 
     run_dir: Path
     settings: RunSettings
     complete: bool
+    closed: bool
 
 
 def holds_run(run_dir: Path) -> bool:
@@ -46,11 +51,12 @@ def read_interrupted(run_dir: Path) -> Interrupted:
             f"{SETTINGS} and {LOG_DIRECTORY}"
         )
     settings = parse_json(_settings_text(run_dir)).model_copy(update={"run_dir": run_dir.absolute()})
-    return Interrupted(run_dir, settings, _is_complete(run_dir))
+    closed = not list_segments(run_dir / LOG_DIRECTORY) or not LogReader(run_dir).torn
+    return Interrupted(run_dir, settings, _is_complete(run_dir), closed)
 
 
 def newest_interrupted(folder: Path, settings: RunSettings) -> Path | None:
-    """The newest run in a folder of runs, where it is not complete and began with these settings; else None.
+    """The newest run in a folder of runs, where it began with these settings and is not complete and closed; else None.
 
     Where it listened, and where it is kept, do not count.
     """
@@ -65,7 +71,7 @@ def newest_interrupted(folder: Path, settings: RunSettings) -> Path | None:
     places = ("transport.", "run_dir")
     pairs = _differences(found.settings.model_dump(mode="json"), settings.model_dump(mode="json"))
     same = all(name.startswith(places) for name, _, _ in pairs)
-    return newest if same and not found.complete else None
+    return newest if same and not (found.complete and found.closed) else None
 
 
 def resumed_settings(found: Interrupted, load: Callable[[RunSettings], RunSettings]) -> RunSettings:

@@ -19,7 +19,7 @@ from common.tasks import TASKS
 from common.wire.credentials import Credentials
 from reskpn.certs import EPILOG, add_certs_options, certs
 from reskpn.connection import add_connection, over
-from reskpn.resuming import AUTO, run_to_resume, settings_to_resume
+from reskpn.resuming import AUTO, run_to_resume, see_off, settings_to_resume
 
 EXIT_CODES = """\
 exit codes: 0 done, 1 a replay diverged from its log, 2 a setting is not possible, 3 no connection, 4 refused,
@@ -113,9 +113,9 @@ def _add_learner(commands: Any) -> None:
             fresh = load(options, given, config=given.config)
             resume = run_to_resume(fresh) if resume == AUTO else None
         settings = fresh if resume is None else settings_to_resume(Path(resume), over)
-        if settings is None:
-            return 0
         with stopping(supervised=given.supervised) as stop:
+            if settings is None:
+                return see_off(Path(resume), over, stop)
             return run_learner(settings, stop=stop, resume=resume is not None)
 
     parser = _command(commands, "learner", "serve one training run; actors connect to it", call, _epilog())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,10 +30,25 @@ def settings_to_resume(run_dir: Path, load: Callable[[RunSettings], RunSettings]
     return settings
 
 
+def see_off(run_dir: Path, load: Callable[[RunSettings], RunSettings], stop: threading.Event) -> int:
+    """Of a finished run: tell its actors so, where its learner was killed before it could. Returns 0.
+
+    Raises as `bid_farewell`, and SettingsError as `resumed_settings`.
+    """
+    from services.learner.farewell import bid_farewell
+
+    found = read_interrupted(run_dir)
+    if not found.closed:
+        transport = resumed_settings(found, load).transport
+        bid_farewell(run_dir, transport, stop=stop, say=lambda text: print(text, flush=True))
+    return 0
+
+
 def run_to_resume(settings: RunSettings) -> str | None:
     """For `--resume auto`: the directory of the run to go on with; None to start one.
 
-    That is the run in --run-dir; or else the newest one where runs are kept, if it is unfinished and of these settings.
+    That is the run in --run-dir; or else the newest one where runs are kept, if it is of these settings and unfinished,
+    or its learner was killed before its actors had heard that it is over.
     """
     if settings.run_dir is not None:
         return str(settings.run_dir) if holds_run(settings.run_dir) else None

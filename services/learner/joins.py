@@ -20,6 +20,11 @@ ASK_AGAIN_S = 1.0
 """An actor that was turned away has asked again by then."""
 
 
+def nothing_left(run: str) -> str:
+    """Why nobody is taken any more."""
+    return f"{FINISHED}: the run is over, nothing is left to do for run {run!r}"
+
+
 class JoinDesk:
     """Answers on `join`.
 
@@ -78,7 +83,7 @@ class JoinDesk:
         host = printable(join.hardware.get("host", "?"), 64)
         with self._changed:
             if self._fleet.finished:
-                return self._no("finished", f"{FINISHED}: nothing is left to do for run {self._run!r}", final=True)
+                return self._no("finished", nothing_left(self._run), final=True)
             slot = self._fleet.join(join.incarnation, physics, time.monotonic())
             generation, restore = slot.given - 1, slot.start is not None and slot.start.environment is not None
             self._census.joined(slot.number, join.incarnation, host, time.monotonic())

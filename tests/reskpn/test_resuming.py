@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 import reskpn.train
+import services.learner.farewell
 import services.learner.service
 from common.log.writer import LogWriter
-from common.settings import RunSettings
+from common.settings import RunSettings, TransportSettings
 from reskpn.cli import main
 
 BASE: dict[str, Any] = {"num_envs": 8, "num_steps": 8, "total_steps": 640, "algorithm": {"minibatches": 2}, "seed": 4}
@@ -125,6 +126,43 @@ def test_a_finished_run(
     assert main(["train", "--resume", str(run_dir), *more]) == 0
     assert len(begun) == begins
     assert ("this run has finished, with 10 updates; give more --total-steps" in capsys.readouterr().out) is not begins
+
+
+@pytest.mark.parametrize("how", [["--resume", "{}"], ["--resume", "auto", "--run-dir", "{}"]])
+def test_a_finished_run_whose_log_is_not_closed(
+    begun: list[Any], run_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: list[str]
+) -> None:
+    """Its learner was killed before its actors had heard that all is done: they are told, and nothing else begins."""
+    seen_off: list[tuple[Path, str]] = []
+
+    def bid_farewell(run_dir: Path, transport: TransportSettings, **_: object) -> None:
+        seen_off.append((run_dir, transport.endpoint))
+
+    monkeypatch.setattr(services.learner.farewell, "bid_farewell", bid_farewell)
+    words = ["learner", *(word.format(run_dir) for word in how)]
+    (run_dir / "summary.json").write_text(json.dumps({"complete": True}))
+    assert main(words) == 0
+    assert seen_off == []
+    (segment,) = (run_dir / "log").glob("*.mcap")
+    os.truncate(segment, segment.stat().st_size - 1)
+    assert main(words) == 0
+    assert seen_off == [(run_dir, "tcp/127.0.0.1:4000")]
+    assert begun == []
+
+
+def test_auto_sees_off_the_actors_of_a_run_that_has_just_finished(
+    begun: list[Any], newest: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A learner's container that is started again after its kill does not begin another run."""
+    seen_off: list[Path] = []
+    monkeypatch.setattr(services.learner.farewell, "bid_farewell", lambda run_dir, *_, **__: seen_off.append(run_dir))
+    (newest / "summary.json").write_text(json.dumps({"complete": True}))
+    (segment,) = (newest / "log").glob("*.mcap")
+    os.truncate(segment, segment.stat().st_size - 1)
+    os.utime(newest, (2000.0, 2000.0))
+    assert main(["learner", "--resume", "auto", *SAME]) == 0
+    assert [path.absolute() for path in seen_off] == [newest]
+    assert begun == []
 
 
 @pytest.mark.parametrize(

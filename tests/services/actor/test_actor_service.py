@@ -253,7 +253,7 @@ def test_one_that_stands_by_to_the_end_ends_well(
     until(learner.hub.standing_by)
     learner.hub.finish()
     assert done.result(DEADLINE_S) == 0
-    assert actors.said[-1] == f"finished: nothing is left to do for run {RUN!r}"
+    assert actors.said[-1] == f"finished: the run is over, nothing is left to do for run {RUN!r}"
 
 
 def test_an_actor_alone_does_the_work_of_two(

@@ -85,7 +85,7 @@ def test_a_finished_run_is_refused_for_good(learners: Callable[..., Learner], ac
     reply = actor.join()
     assert (reply.accepted, reply.final) == (False, True)
     assert reply.finished
-    assert reply.reason == "finished: nothing is left to do for run 'run-1'"
+    assert reply.reason == "finished: the run is over, nothing is left to do for run 'run-1'"
 
 
 def test_who_stands_by_is_known_until_it_has_asked_again(
