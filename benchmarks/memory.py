@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import signal
 import subprocess
@@ -38,7 +39,10 @@ STOP_S = 60.0
 
 @dataclass(frozen=True)
 class Growth:
-    """Resident memory of one process in MB, after the first samples, and its slope in MB an hour."""
+    """Resident memory of one process in MB, after the first samples, and its slope in MB an hour.
+
+    `first` and `last` are medians of the first and last tenth; `series` is every sample, those left out among them.
+    """
 
     first: float
     last: float
@@ -46,6 +50,7 @@ class Growth:
     most: float
     an_hour: float
     samples: int
+    series: list[float]
 
 
 def growth(times_s: Sequence[float], resident_mb: Sequence[float]) -> Growth:
@@ -59,8 +64,10 @@ def growth(times_s: Sequence[float], resident_mb: Sequence[float]) -> Growth:
     if len(values) < 3:
         raise ProcessError("the run ended before enough samples were taken; give more --minutes")
     slope = np.polyfit(times - times[0], values, 1)[0] * 3600
-    first, last, least, most = float(values[0]), float(values[-1]), float(values.min()), float(values.max())
-    return Growth(first, last, least, most, float(slope), len(values))
+    tenth = math.ceil(len(values) / 10)
+    first, last = float(np.median(values[:tenth])), float(np.median(values[-tenth:]))
+    least, most = float(values.min()), float(values.max())
+    return Growth(first, last, least, most, float(slope), len(values), list(resident_mb))
 
 
 def services(parent: int) -> dict[str, int]:

@@ -24,6 +24,14 @@ def test_growth_is_the_slope_after_the_first_fifth() -> None:
         memory.growth(times[:2], [1.0, 2.0])
 
 
+def test_growth_is_not_that_of_a_single_sample() -> None:
+    """Of 40 counted samples the first and last four decide: one that is high for a moment shows in `most` alone."""
+    values = [100.0] * 49 + [190.0]
+    found = memory.growth([5.0 * n for n in range(50)], values)
+    assert (found.first, found.last, found.most, found.samples) == (100.0, 100.0, 190.0, 40)
+    assert found.series == values
+
+
 def test_services_are_found_among_the_children() -> None:
     """By the words of their command line; other children are none."""
     program = "import sys; print(flush=True); sys.stdin.read()"
