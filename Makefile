@@ -31,12 +31,11 @@ train: setup  ## train; TASK=hopper LEARNER=ppo STEPS=3e6 ACTORS=1 SEED=0 PHYSIC
 test: setup  ## all tests that fit in a few minutes
 	@$(BIN)/python -m pytest -n 2 --dist loadfile
 
-test-docker: setup  ## docker-compose.yml for real: build, run, kill, scale; exit code 77 where it cannot be run here
-	@$(BIN)/python -m scripts.docker_test
+test-docker: setup  ## docker-compose.yml for real: build, run, kill, scale; says so where it cannot be run here
+	@$(BIN)/python -m scripts.docker_test || [ $$? = 77 ]
 
 test-hosts: setup  ## learner, actors, a viewer and an outsider on hosts of their own (network namespaces; needs root)
 	@$(BIN)/python -m pytest tests/hosts -p no:randomly -rA --tb=short --timeout 400
-
 
 test-chaos: setup  ## kill -9 at random and at the worst moments, hostile messages, slow and full disks; CHAOS_POINTS=20, CHAOS_SEED=n to repeat
 	@CHAOS_POINTS=$(CHAOS_POINTS) $(if $(CHAOS_SEED),CHAOS_SEED=$(CHAOS_SEED)) \

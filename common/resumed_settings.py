@@ -23,14 +23,14 @@ MAY_CHANGE = ("transport.", "total_steps", "run_dir")
 class Interrupted:
     """A run directory as it was left.
 
-    `complete`: all updates of `settings` were made, and evaluated. `closed`: its log was finished, which is the last
-    that a learner does, after its actors have heard that the run is over.
+    `complete`: all updates of `settings` were made, and evaluated. `untold`: it is, but its log was not closed,
+    which is the last that a learner does, after its actors have heard that the run is over.
     """
 
     run_dir: Path
     settings: RunSettings
     complete: bool
-    closed: bool
+    untold: bool
 
 
 def holds_run(run_dir: Path) -> bool:
@@ -51,12 +51,12 @@ def read_interrupted(run_dir: Path) -> Interrupted:
             f"{SETTINGS} and {LOG_DIRECTORY}"
         )
     settings = parse_json(_settings_text(run_dir)).model_copy(update={"run_dir": run_dir.absolute()})
-    closed = not list_segments(run_dir / LOG_DIRECTORY) or not LogReader(run_dir).torn
-    return Interrupted(run_dir, settings, _is_complete(run_dir), closed)
+    complete = _is_complete(run_dir)
+    return Interrupted(run_dir, settings, complete, complete and _is_open(run_dir))
 
 
 def newest_interrupted(folder: Path, settings: RunSettings) -> Path | None:
-    """The newest run in a folder of runs, where it began with these settings and is not complete and closed; else None.
+    """The newest run in a folder of runs, where it began with these settings and is not complete, or untold; else None.
 
     Where it listened, and where it is kept, do not count.
     """
@@ -71,7 +71,7 @@ def newest_interrupted(folder: Path, settings: RunSettings) -> Path | None:
     places = ("transport.", "run_dir")
     pairs = _differences(found.settings.model_dump(mode="json"), settings.model_dump(mode="json"))
     same = all(name.startswith(places) for name, _, _ in pairs)
-    return newest if same and not (found.complete and found.closed) else None
+    return newest if same and (found.untold or not found.complete) else None
 
 
 def resumed_settings(found: Interrupted, load: Callable[[RunSettings], RunSettings]) -> RunSettings:
@@ -130,6 +130,15 @@ def _is_complete(run_dir: Path) -> bool:
     except (OSError, ValueError):
         return False
     return isinstance(summary, dict) and summary.get("complete") is True
+
+
+def _is_open(run_dir: Path) -> bool:
+    if not list_segments(run_dir / LOG_DIRECTORY):
+        return False
+    try:
+        return bool(LogReader(run_dir).torn)
+    except LogReadError:
+        return False  # who reads it hears of the damage; of a run that is over there is nothing to go on with
 
 
 def _differences(old: Mapping[str, Any], new: Mapping[str, Any], section: str = "") -> Iterator[tuple[str, Any, Any]]:

@@ -19,7 +19,7 @@ from common.tasks import TASKS
 from common.wire.credentials import Credentials
 from reskpn.certs import EPILOG, add_certs_options, certs
 from reskpn.connection import add_connection, over
-from reskpn.resuming import AUTO, run_to_resume, see_off, settings_to_resume
+from reskpn.resuming import AUTO, close_log, run_to_resume, see_off, settings_to_resume
 
 EXIT_CODES = """\
 exit codes: 0 done, 1 a replay diverged from its log, 2 a setting is not possible, 3 no connection, 4 refused,
@@ -94,7 +94,7 @@ def _add_train(commands: Any) -> None:
         # Nobody is left who knows the address of the run's first processes.
         over = partial(load_over, options=options, arguments=given, config=given.config, own_endpoint=False)
         settings = settings_to_resume(Path(given.resume), over)
-        return 0 if settings is None else train(settings, resume=True)
+        return close_log(Path(given.resume)) if settings is None else train(settings, resume=True)
 
     text = "train on this machine: a learner and its actors as processes on loopback"
     parser = _command(commands, "train", text, call, _epilog())
@@ -287,7 +287,7 @@ def _add_replay_options(parser: argparse.ArgumentParser) -> None:
     add("--rate", type=_rate, default=1.0, metavar="R", help="of --publish: times the run's pace, or max (default: 1)")
     add_connection(parser, "of --publish: ")
     add("--delay", type=float, default=2.0, metavar="S", help="of --publish: time to connect first (default: 2)")
-    add("--insecure", action="store_true", help="of --publish: allow an address beyond loopback")
+    add("--insecure", action="store_true", help="of --publish: allow an address beyond loopback that asks nobody")
 
 
 def _add_certs(commands: Any) -> None:

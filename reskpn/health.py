@@ -93,7 +93,11 @@ def router_health(endpoint: str, timeout_s: float, credentials: Credentials = NO
 
     try:
         with open_session(
-            connect=[endpoint], connect_timeout_s=timeout_s, max_message_size=MESSAGE_BYTES, credentials=credentials
+            connect=[endpoint],
+            connect_timeout_s=timeout_s,
+            max_message_size=MESSAGE_BYTES,
+            credentials=credentials,
+            router=True,
         ):
             return Health(True, f"the router at {endpoint} lets in who has credentials")
     except ReskpnError as error:

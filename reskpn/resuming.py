@@ -30,6 +30,16 @@ def settings_to_resume(run_dir: Path, load: Callable[[RunSettings], RunSettings]
     return settings
 
 
+def close_log(run_dir: Path) -> int:
+    """Of a finished run whose learner was killed before it could, with nobody left to be told. Returns 0."""
+    from services.learner.resume import repair_log
+
+    if read_interrupted(run_dir).untold:
+        for note in repair_log(run_dir):
+            print(note, flush=True)
+    return 0
+
+
 def see_off(run_dir: Path, load: Callable[[RunSettings], RunSettings], stop: threading.Event) -> int:
     """Of a finished run: tell its actors so, where its learner was killed before it could. Returns 0.
 
@@ -38,7 +48,7 @@ def see_off(run_dir: Path, load: Callable[[RunSettings], RunSettings], stop: thr
     from services.learner.farewell import bid_farewell
 
     found = read_interrupted(run_dir)
-    if not found.closed:
+    if found.untold:
         transport = resumed_settings(found, load).transport
         bid_farewell(run_dir, transport, stop=stop, say=lambda text: print(text, flush=True))
     return 0

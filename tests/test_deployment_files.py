@@ -96,7 +96,10 @@ def test_the_router_is_no_part_of_the_run(compose: dict[str, Any]) -> None:
     assert service["profiles"] == ["router"]
     assert service["networks"] == ["hosts"]
     assert [filled(port) for port in service["ports"]] == ["7447:7447"]
-    assert [filled(volume) for volume in service["volumes"]] == ["./certs/learner:/certs:ro"]
+    (certificates,) = service["volumes"]
+    assert (filled(certificates["source"]), certificates["target"]) == ("./certs/learner", "/certs")
+    assert certificates["read_only"] is True
+    assert certificates["bind"] == {"create_host_path": False}
     assert not any("INSECURE" in name for name in service.get("environment", {}))
     assert "--insecure" not in service["command"]
 

@@ -17,7 +17,7 @@ REASONS = {
     "no_certificate": "somebody without a certificate was refused",
     "bad_certificate": "a certificate that is not of this run's authority, or has expired, was refused",
     "untrusted": (
-        "somebody did not accept this learner's certificate: it is of another authority for him, or was not made for "
+        "somebody did not accept the certificate shown here: it is of another authority for him, or was not made for "
         "the address that he used"
     ),
     "no_tls": "somebody who does not speak TLS was refused",

@@ -92,8 +92,8 @@ def _router(engine: Engine, name: str) -> None:
             made.wait_for("health of the router", lambda: made.health(router) == "healthy", deadline_s=120.0)
             assert made.running() == []  # it is no part of a run
             made.docker("stop", router)
-            assert made.state(router)["ExitCode"] == 0
-            assert "stopped; refused connections: none" in made.words(router)
+            assert made.state(router)["ExitCode"] == 0, made.last_words()
+            assert "stopped; refused connections: none" in made.words(router), made.last_words()
 
 
 if __name__ == "__main__":

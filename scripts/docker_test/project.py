@@ -73,7 +73,7 @@ class Project:
 
     def last_words(self, lines: int = 8) -> str:
         parts = []
-        for service in SERVICES:
+        for service in (*SERVICES, "router"):
             for container in self.containers(service):
                 last = "\n".join(f"  {line}" for line in self.words(container).splitlines()[-lines:])
                 parts.append(f"{service} {container[:12]} {self.state(container)['Status']}:\n{last}")

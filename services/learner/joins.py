@@ -25,6 +25,11 @@ def nothing_left(run: str) -> str:
     return f"{FINISHED}: the run is over, nothing is left to do for run {run!r}"
 
 
+def another_run(run: str, wanted: str) -> str:
+    """Why somebody who wants to work for the run `wanted` is not taken."""
+    return f"this learner runs {run!r}, not {wanted!r}"
+
+
 class JoinDesk:
     """Answers on `join`.
 
@@ -76,7 +81,7 @@ class JoinDesk:
 
     def _join(self, join: Join) -> JoinReply:
         if join.run not in ("", self._run):
-            return self._no("run", f"this learner runs {self._run!r}, not {join.run!r}", final=True)
+            return self._no("run", another_run(self._run, join.run), final=True)
         if join.role == "evaluator":
             return self._join_evaluator(join)
         physics = join.physics if self._settings.physics == "auto" else self._settings.physics

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from common.errors import SettingsError
 from common.settings import TransportSettings
-from common.wire.access import Names, access_control
-from common.wire.credentials import Credentials
+from common.wire.access import LEARNER, Names, access_control
+from common.wire.credentials import Credentials, read_users
 from common.wire.session import Session, open_session
 
 ROUTER_S = 60.0
@@ -32,7 +33,15 @@ def open_to_actors(transport: TransportSettings) -> Session:
 
 
 def _open_at_router(transport: TransportSettings) -> Session:
-    """A session with a router, which knows who may do what."""
+    """A session with a router, which knows who may do what.
+
+    Raises SettingsError where the first user, as whom it connects, is not the learner: nobody would get through to it.
+    """
+    if transport.users is not None and (user := next(iter(read_users(transport.users)))) != LEARNER:
+        raise SettingsError(
+            f"at a router the learner is a user itself, the first in its file: {transport.users} begins with {user!r}; "
+            f"give it a file that begins with {LEARNER}:password, the same password as in the router's file"
+        )
     return open_session(
         connect=[transport.endpoint],
         connect_timeout_s=ROUTER_S,

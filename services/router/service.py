@@ -6,9 +6,10 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 
+from common.errors import SettingsError
 from common.settings import TransportSettings
-from common.wire.access import Names, router_access_control
-from common.wire.credentials import Credentials
+from common.wire.access import LEARNER, Names, router_access_control
+from common.wire.credentials import Credentials, read_users
 from common.wire.door import make_door, refuse_open_doors
 from common.wire.session import open_session
 
@@ -25,7 +26,7 @@ def run_router(transport: TransportSettings, *, stop: threading.Event, say: Call
         say: gets a line for a person: where it listens, who was refused.
 
     Raises:
-        SettingsError: credentials that cannot be used, or none where other machines reach it.
+        SettingsError: credentials that cannot be used, or none where other machines reach it; users without a learner.
         SessionError: an address that cannot be listened on.
     """
     here = transport.model_copy(update={"router": False})  # who uses one is told so; this is it
@@ -35,12 +36,20 @@ def run_router(transport: TransportSettings, *, stop: threading.Event, say: Call
     if credentials.authenticate(here.endpoint):
         names = Names(here.actor_names, here.viewer_names)
         access = router_access_control(names, by_password=here.users is not None)
+    if here.users is not None and LEARNER not in read_users(here.users):
+        raise SettingsError(
+            f"the router's file of users {here.users} has no {LEARNER}: nobody could serve the others; add a line "
+            f"{LEARNER}:password, and let the learner's own file begin with it"
+        )
     refused: Counter[str] = Counter()
+    lock = threading.Lock()
 
     def on_refused(reason: str, text: str) -> None:
-        refused[reason] += 1
-        if refused[reason] % REPEATED == 1:
-            say(f"refused ({refused[reason]:,} times so far): {text}")
+        with lock:  # Zenoh's log and Zenoh's events come on threads of their own
+            refused[reason] += 1
+            count = refused[reason]
+        if count % REPEATED == 1:
+            say(f"refused ({count:,} times so far): {text}")
 
     with (
         make_door(here) as door,

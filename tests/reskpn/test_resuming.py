@@ -12,6 +12,8 @@ import pytest
 import reskpn.train
 import services.learner.farewell
 import services.learner.service
+from common.errors import LogReadError
+from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from common.settings import RunSettings, TransportSettings
 from reskpn.cli import main
@@ -83,8 +85,8 @@ def newest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for number, name in enumerate(["old", "new"]):
         run = Path("runs") / name
         settings = RunSettings.model_validate(BASE | {"transport": {"endpoint": f"tcp/127.0.0.1:{4000 + number}"}})
-        with LogWriter(run / "log", metadata={"settings": {"json": settings.model_dump_json()}}):
-            pass
+        with LogWriter(run / "log", metadata={"settings": {"json": settings.model_dump_json()}}) as log:
+            log.write("/event", {"level": "info", "name": "begun", "text": "a run"})
         os.utime(run, (1000.0 + number, 1000.0 + number))
     return tmp_path / "runs" / "new"
 
@@ -147,6 +149,37 @@ def test_a_finished_run_whose_log_is_not_closed(
     os.truncate(segment, segment.stat().st_size - 1)
     assert main(words) == 0
     assert seen_off == [(run_dir, "tcp/127.0.0.1:4000")]
+    assert begun == []
+
+
+@pytest.mark.parametrize("complete", [True, False])
+def test_a_damaged_log_is_no_reason_to_begin_another_run_in_silence(
+    begun: list[Any], newest: Path, complete: bool
+) -> None:
+    """Zeros at the end of a log, as a loss of power leaves them: who resumes it hears of that. Not if it is over."""
+    (segment,) = (newest / "log").glob("*.mcap")
+    os.truncate(segment, segment.stat().st_size - 1)
+    (torn,) = LogReader(newest).torn
+    os.truncate(segment, torn.good_bytes)
+    with segment.open("ab") as file:
+        file.write(bytes(4096))
+    with pytest.raises(LogReadError):
+        _ = LogReader(newest).torn
+    (newest / "summary.json").write_text(json.dumps({"complete": complete}))
+    os.utime(newest, (2000.0, 2000.0))
+    assert main(["learner", "--resume", "auto", *SAME]) == 0
+    assert [(settings.run_dir, resume) for _, settings, resume in begun] == [
+        (None, False) if complete else (newest, True)
+    ]
+
+
+def test_train_closes_the_log_of_a_finished_run(begun: list[Any], run_dir: Path) -> None:
+    """It has no actors from before that would have to be told."""
+    (run_dir / "summary.json").write_text(json.dumps({"complete": True}))
+    (segment,) = (run_dir / "log").glob("*.mcap")
+    os.truncate(segment, segment.stat().st_size - 1)
+    assert main(["train", "--resume", str(run_dir)]) == 0
+    assert not LogReader(run_dir).torn
     assert begun == []
 
 

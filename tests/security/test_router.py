@@ -23,6 +23,7 @@ from common.wire.endpoint import free_port
 from common.wire.keys import JOIN
 from common.wire.messages import Orders
 from scripts.document_router import FILE, content
+from services.learner.meeting import open_to_actors
 from services.router.service import run_router
 
 
@@ -146,6 +147,45 @@ def test_a_router_that_is_started_again(
         assert actor.ask(KEYS.policy_latest)
         assert actor.push(rollout(0, "a", seq=1)).status == "accepted"
     assert learner.logged() == 2
+
+
+def test_at_a_router_the_learner_is_a_user(tmp_path: Path) -> None:
+    """With passwords it goes in by the first line of its file, and must be known to the router: refused at once."""
+    others = tmp_path / "others"
+    others.write_text("actor:secret\n")
+    here = TransportSettings(endpoint=f"tcp/127.0.0.1:{free_port()}", users=others)
+    with pytest.raises(SettingsError, match="has no learner: nobody could serve the others"):
+        run_router(here, stop=threading.Event(), say=print)
+    with pytest.raises(SettingsError, match="begins with 'actor'; give it a file that begins with learner:password"):
+        open_to_actors(here.model_copy(update={"router": True}))
+
+
+def test_a_run_with_passwords_through_a_router(
+    tmp_path: Path, learners: Callable[[TransportSettings], GuardedLearner], outside: Callable[..., Outside]
+) -> None:
+    """The router's file has everyone; the learner's begins with itself."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    everyone, own, worker = (tmp_path / name for name in ("everyone", "own", "worker"))
+    everyone.write_text("actor:secret\nlearner:word\nviewer:pass\n")
+    own.write_text("learner:word\n")
+    worker.write_text("actor:secret\n")
+    stop, said = threading.Event(), list[str]()
+    router = threading.Thread(
+        target=run_router,
+        args=(TransportSettings(endpoint=endpoint, users=everyone),),
+        kwargs={"stop": stop, "say": said.append},
+    )
+    router.start()
+    try:
+        until(lambda: bool(said))
+        learner = learners(TransportSettings(endpoint=endpoint, users=own, router=True))
+        actor = outside(endpoint, Credentials(users=worker))
+        assert actor.join("a").accepted
+        assert actor.push(rollout(0, "a")).status == "accepted"
+        assert learner.logged() == 1
+    finally:
+        stop.set()
+        router.join()
 
 
 def test_a_router_that_asks_nobody_stays_on_this_machine() -> None:
