@@ -22,6 +22,10 @@ from common.tasks import unknown_name
 _GROUP_BYTES = 32 << 20
 """Most bytes of one commit: bounds the wait for an acknowledgement, and by how much a segment exceeds its size."""
 
+SEGMENT_MESSAGES = 1 << 14
+"""mcap keeps an index of all chunks until a segment is finished, half a KB each: of small messages, committed one by
+one, a segment of 1 GiB would hold so many that a learner's memory grew for hours."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
@@ -44,7 +48,8 @@ class LogWriter:
 
     Args:
         directory: the log directory of the run.
-        segment_bytes: a segment that has reached this size is finished and the next one begun.
+        segment_bytes: a segment that has reached this size is finished and the next one begun; so is one with
+            `segment_messages` messages.
         compression: of the chunks.
         sync_period_s: least seconds between two syncs to the disk.
         clock_ns: nanoseconds for messages that are written without a time.
@@ -62,6 +67,7 @@ class LogWriter:
         directory: Path,
         *,
         segment_bytes: int = 1 << 30,
+        segment_messages: int = SEGMENT_MESSAGES,
         compression: Compression = "none",
         sync_period_s: float = 1.0,
         clock_ns: Callable[[], int] = time.time_ns,
@@ -71,6 +77,7 @@ class LogWriter:
     ) -> None:
         self._directory = directory
         self._segment_bytes = segment_bytes
+        self._segment_messages = segment_messages
         self._compression = compression
         self._sync_period_s = sync_period_s
         self._clock_ns = clock_ns
@@ -240,8 +247,7 @@ class LogWriter:
 
     def _commit(self, group: list[_Entry]) -> None:
         began_s = time.monotonic()
-        # A segment that begins with much is still to hold a message, or there would be no end of segments.
-        if self._segment.messages and self._segment.size >= self._segment_bytes:
+        if self._is_full():
             self._roll()
         for entry in group:
             self._segment.add(entry.topic, entry.t_ns, entry.data)
@@ -257,6 +263,11 @@ class LogWriter:
             self._acknowledged += len(group)
             self._busy_s += time.monotonic() - began_s
             self._changed.notify_all()
+
+    def _is_full(self) -> bool:
+        # A segment that begins with much is still to hold a message, or there would be no end of segments.
+        messages, size = self._segment.messages, self._segment.size
+        return messages > 0 and (size >= self._segment_bytes or messages >= self._segment_messages)
 
     def _roll(self) -> None:
         self._segment.finish()

@@ -267,6 +267,17 @@ def test_a_segment_holds_a_message_whatever_it_begins_with(tmp_path: Path) -> No
     assert [LogReader(tmp_path / name).counts() for name in ("00000.mcap", "00001.mcap")] == [{"/rollout": 1}] * 2
 
 
+def test_many_small_messages_roll_segments_too(tmp_path: Path) -> None:
+    """What mcap keeps in memory for a segment, an index of its chunks, has a bound whatever the size of messages."""
+    with LogWriter(tmp_path, segment_messages=10) as log:
+        for number in range(25):
+            log.write("/rollout", bytes([number]))
+            log.flush(DEADLINE_S)
+    segments = sorted(tmp_path.glob("*.mcap"))
+    assert [LogReader(path).counts() for path in segments] == [{"/rollout": count} for count in (10, 10, 5)]
+    assert [message.data[0] for message in LogReader(tmp_path).messages()] == list(range(25))
+
+
 def test_an_acknowledgement_that_raises_ends_the_log(tmp_path: Path) -> None:
     """A broken caller is reported like a broken disk: once to `on_error`, then at every call."""
     errors: list[LogWriteError] = []
