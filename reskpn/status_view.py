@@ -34,6 +34,7 @@ def head(report: RunReport) -> list[str]:
         f"steps {progress.env_steps:,}/{progress.total_steps:,}",
         f"steps/s {number(progress.steps_per_s)}",
         f"return {number(progress.train_return, 1)}",
+        f"reward {number(progress.step_reward, 2)}",
         f"actors {len(report.actors)}/{report.slots}",
     ]
     told = f" (told {duration(progress.told_s)} ago)" if progress.told_s > 5.0 else ""

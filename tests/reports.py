@@ -19,7 +19,7 @@ def actor(slot: int = 0, **changes: Any) -> ActorReport:
 def progress(**changes: Any) -> Progress:
     values: dict[str, Any] = {
         "phase": "training", "text": "", "version": 7, "updates": 100, "env_steps": 7000, "total_steps": 100_000,
-        "steps_per_s": 2500.0, "train_return": 12.25, "staleness": 0.0, "told_s": 0.5,
+        "steps_per_s": 2500.0, "train_return": 12.25, "step_reward": 0.75, "staleness": 0.0, "told_s": 0.5,
     }  # fmt: skip
     return Progress(**values | changes)
 

@@ -343,7 +343,7 @@ HUB_KINDS = ("rollout", "environment", "evaluation", "assessment", "join", "hear
 
 STATUS_NOW = Status(
     phase="training", text="", version=0, updates=10, env_steps=0, total_steps=800, steps_per_s=None,
-    train_return=None, staleness=0.0, centres=None, capacity=0, actors=0, slots=2,
+    train_return=None, step_reward=None, staleness=0.0, centres=None, capacity=0, actors=0, slots=2,
 )  # fmt: skip
 
 

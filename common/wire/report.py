@@ -89,6 +89,8 @@ class Progress(_Part):
     total_steps: int
     steps_per_s: Number | None
     train_return: Number | None
+    step_reward: Number | None = None
+    """Mean reward of a step of the newest batch."""
     staleness: Number
     told_s: Number
     """Seconds since the learner's loop last told this."""

@@ -17,7 +17,10 @@ PLAIN_PERIOD_S = 5.0
 
 @dataclass(frozen=True)
 class Status:
-    """The run at one moment. `text` says what it waits for; None where a number is not known yet."""
+    """The run at one moment. `text` says what it waits for; None where a number is not known yet.
+
+    `train_return` is of the newest episodes that ended, `step_reward` of every step of the newest batch.
+    """
 
     phase: str
     text: str
@@ -27,6 +30,7 @@ class Status:
     total_steps: int
     steps_per_s: float | None
     train_return: float | None
+    step_reward: float | None
     staleness: float
     centres: int | None
     capacity: int
@@ -112,6 +116,7 @@ def _numbers(status: Status) -> dict[str, str]:
         "steps": f"{status.env_steps:,}",
         "steps/s": "-" if status.steps_per_s is None else f"{status.steps_per_s:,.0f}",
         "return": "-" if status.train_return is None else f"{status.train_return:,.1f}",
+        "reward": "-" if status.step_reward is None else f"{status.step_reward:,.2f}",
         "staleness": f"{status.staleness:g}",
         "actors": f"{status.actors}/{status.slots}",
     }

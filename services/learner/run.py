@@ -23,7 +23,7 @@ from services.learner.hub import Hub
 from services.learner.public import public_update
 from services.learner.scalars import Scalars
 from services.learner.snapshots import make_snapshot
-from services.learner.statistics import Episodes, actor_seconds
+from services.learner.statistics import Episodes, actor_seconds, step_reward
 from services.learner.trainer import Trainer
 
 TICK_S = 0.5
@@ -89,6 +89,7 @@ class Run:
         self._began_version = 0
         self._centres = 0
         self._staleness = 0.0
+        self._step_reward: float | None = None
         self._log_busy_s = 0.0
 
     @property
@@ -227,6 +228,7 @@ class Run:
         self.physics |= self._hub.engines()
         self._centres = round(step.metrics.get("rkhs/centres", 0))
         self._staleness = step.staleness["mean"]
+        self._step_reward = step_reward(step.rollouts)
         if not step.logged:
             self._write(step, episodes)
         self._show("training", "")
@@ -260,7 +262,11 @@ class Run:
             step.metrics
             | {f"seconds/{name}": value for name, value in step.seconds.items()}
             | {f"staleness/{name}": value for name, value in step.staleness.items()}
-            | {"run/steps_per_s": self.steps_per_s, "run/return": self.returns.newest},
+            | {
+                "run/steps_per_s": self.steps_per_s,
+                "run/return": self.returns.newest,
+                "run/step_reward": self._step_reward,
+            },
         )
 
     def _show(self, phase: str, text: str) -> None:
@@ -273,6 +279,7 @@ class Run:
             total_steps=self._settings.updates * self._settings.batch_size,
             steps_per_s=self.steps_per_s,
             train_return=self.returns.newest,
+            step_reward=self._step_reward,
             staleness=self._staleness,
             centres=self._centres,
             capacity=self._settings.capacity,

@@ -75,6 +75,11 @@ class TrainingReturn:
         return self.late_sum / self.late_count if self.late_count else None
 
 
+def step_reward(rollouts: Sequence[Rollout]) -> float:
+    """Mean reward of a step of this batch, unscaled: known long before the first episode ends."""
+    return float(np.mean([rollout.reward.mean(dtype=np.float64) for rollout in rollouts]))
+
+
 def actor_seconds(rollouts: Sequence[Rollout]) -> dict[str, float]:
     """Seconds the slowest actor spent on each phase of this batch."""
     phases = {name for rollout in rollouts for name in rollout.timing}

@@ -12,7 +12,7 @@ from common.wire.keys import Keys
 from common.wire.messages import Orders, Rollout, Snapshot
 from common.wire.session import Publisher, Session
 from services.learner.display import Status
-from services.learner.statistics import Episodes, TrainingReturn
+from services.learner.statistics import Episodes, TrainingReturn, step_reward
 
 
 class Player:
@@ -70,6 +70,7 @@ class Player:
             total_steps=settings.updates * settings.batch_size,
             steps_per_s=update.env_steps / trained_s if trained_s else None,
             train_return=self._returns.newest,
+            step_reward=step_reward(update.rollouts),
             staleness=update.staleness.get("max", 0.0),
             centres=round(update.metrics.get("rkhs/centres") or 0),
             capacity=settings.capacity,

@@ -22,7 +22,7 @@ def test_the_run_in_three_lines() -> None:
     """Which one, how far it is, and what it waits for."""
     assert head(report(waiting_for="waiting for 1 of 2 rollouts: slot 1 compiling 12 s")) == [
         "hopper-ppo-s0-ab12: ppo on hopper at tcp/127.0.0.1:7447, up 61 s",
-        "training | update 7/100 | steps 7,000/100,000 | steps/s 2,500 | return 12.2 | actors 2/2",
+        "training | update 7/100 | steps 7,000/100,000 | steps/s 2,500 | return 12.2 | reward 0.75 | actors 2/2",
         "waiting for 1 of 2 rollouts: slot 1 compiling 12 s",
     ]
 
@@ -43,8 +43,9 @@ def test_a_learner_that_has_just_begun() -> None:
 @pytest.mark.parametrize(("phase", "text"), [("compiling", "the update 4 s"), ("evaluating", "64 episodes")])
 def test_other_things_than_rollouts_are_waited_for(phase: str, text: str) -> None:
     """In the learner's words; figures that there are not are dashes."""
-    lines = head(report(progress=progress(phase=phase, text=text, steps_per_s=None, train_return=None)))
-    assert "steps/s - | return - |" in lines[1]
+    unknown = {"steps_per_s": None, "train_return": None, "step_reward": None}
+    lines = head(report(progress=progress(phase=phase, text=text, **unknown)))
+    assert "steps/s - | return - | reward - |" in lines[1]
     assert lines[2] == f"waiting for {text}"
 
 

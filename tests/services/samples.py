@@ -16,7 +16,7 @@ RUN = "run-1"
 
 STATUS_NOW = Status(
     phase="training", text="", version=5, updates=10, env_steps=60, total_steps=120, steps_per_s=30.0,
-    train_return=8.5, staleness=0.0, centres=5, capacity=10, actors=2, slots=2,
+    train_return=8.5, step_reward=0.25, staleness=0.0, centres=5, capacity=10, actors=2, slots=2,
 )  # fmt: skip
 
 

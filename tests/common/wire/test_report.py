@@ -15,7 +15,7 @@ ACTOR = ActorReport(
 )  # fmt: skip
 PROGRESS = Progress(
     phase="training", text="", version=3, updates=9, env_steps=300, total_steps=900, steps_per_s=None,
-    train_return=1.5, staleness=0.0, told_s=0.2,
+    train_return=1.5, step_reward=0.5, staleness=0.0, told_s=0.2,
 )  # fmt: skip
 REPORT = RunReport(
     run="r", task="hopper", learner="ppo", endpoint="tcp/127.0.0.1:7447", t_ns=5, up_s=60.0, progress=PROGRESS,
@@ -33,6 +33,15 @@ def test_a_report_comes_back_as_it_was() -> None:
 def test_a_report_of_a_newer_release_can_be_read() -> None:
     """What this side does not know is left out."""
     assert RunReport.decode(json.dumps(json.loads(REPORT.encode()) | {"of_the_future": [1]}).encode()) == REPORT
+
+
+def test_a_report_of_an_older_release_can_be_read() -> None:
+    """The reward of a step was not told in the first."""
+    old = json.loads(REPORT.encode())
+    del old["progress"]["step_reward"]
+    progress = RunReport.decode(json.dumps(old).encode()).progress
+    assert progress is not None
+    assert (progress.step_reward, progress.train_return) == (None, 1.5)
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ STATUS = Status(
     total_steps=100_000,
     steps_per_s=2_000.0,
     train_return=34.56,
+    step_reward=0.987,
     staleness=0.0,
     centres=12,
     capacity=100,
@@ -28,7 +29,13 @@ STATUS = Status(
     slots=2,
 )
 UNKNOWN = dataclasses.replace(
-    STATUS, phase="starting", text="waiting for 2 of 2 rollouts", steps_per_s=None, train_return=None, centres=None
+    STATUS,
+    phase="starting",
+    text="waiting for 2 of 2 rollouts",
+    steps_per_s=None,
+    train_return=None,
+    step_reward=None,
+    centres=None,
 )
 
 
@@ -46,13 +53,13 @@ def plain() -> tuple[PlainDisplay, io.StringIO]:
 
 
 def test_a_plain_line_has_all_numbers() -> None:
-    """Title, then phase, update, steps, speed, return, staleness, actors and centres."""
+    """Title, then phase, update, steps, speed, return, reward, staleness, actors and centres."""
     shown, out = plain()
     shown.show(STATUS)
     assert out.getvalue().splitlines() == [
         "the title",
-        "training | update 12/100 | steps 12,000 | steps/s 2,000 | return 34.6 | staleness 0 | actors 1/2 "
-        "| centres 12/100",
+        "training | update 12/100 | steps 12,000 | steps/s 2,000 | return 34.6 | reward 0.99 | staleness 0 "
+        "| actors 1/2 | centres 12/100",
     ]
 
 
@@ -61,7 +68,7 @@ def test_what_is_not_known_is_a_dash() -> None:
     shown, out = plain()
     shown.show(dataclasses.replace(UNKNOWN, capacity=0))
     assert out.getvalue().splitlines()[1] == (
-        "starting | update 12/100 | steps 12,000 | steps/s - | return - | staleness 0 | actors 1/2 "
+        "starting | update 12/100 | steps 12,000 | steps/s - | return - | reward - | staleness 0 | actors 1/2 "
         "| waiting for 2 of 2 rollouts"
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from samples import rollout
 
-from services.learner.statistics import RECENT_EPISODES, Episodes, TrainingReturn, actor_seconds
+from services.learner.statistics import RECENT_EPISODES, Episodes, TrainingReturn, actor_seconds, step_reward
 
 
 def ended(*episodes: tuple[float, int]) -> dict[str, Any]:
@@ -81,3 +81,11 @@ def test_the_slowest_actor_counts() -> None:
         rollout(1, "b", timing={"collect": 1.5, "push": 0.25}),
     ]
     assert actor_seconds(batch) == {"collect": 1.5, "physics": 2.0, "push": 0.25}
+
+
+def test_the_reward_of_a_step() -> None:
+    """The mean over the steps and environments of all rollouts, whether or not an episode ended."""
+    three_steps_of_two = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]], np.float32)
+    batch = [rollout(reward=three_steps_of_two), rollout(1, "b", reward=three_steps_of_two + 2.0)]
+    # (1 + 2 + 3 + 4 + 5 + 6) / 6 = 3.5 and 5.5
+    assert step_reward(batch) == 4.5

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from recorded_runs import UPDATES, Recording, made_up, write_log
 from samples import snapshot
@@ -67,6 +68,8 @@ def test_subscribers_see_the_run(
     # update 1 was logged two messages, 0.2 s, after the first rollout
     assert status[0]["steps_per_s"] == pytest.approx(60.0)
     assert (status[0]["actors"], status[0]["slots"], status[0]["total_steps"]) == (2, 2, 48)
+    rewards = [Rollout.decode(got[KEYS.rollout(slot)][0]).reward for slot in (0, 1)]
+    assert status[0]["step_reward"] == pytest.approx(np.mean(rewards))
     slots = [[Rollout.decode(data).key for data in got[KEYS.rollout(slot)]] for slot in (0, 1)]
     assert slots[0] == [(0, "life-0", seq) for seq in range(UPDATES)]
     assert slots[1] == [*((1, "life-1", seq) for seq in range(UPDATES)), (1, "late", 0)]
