@@ -23,8 +23,8 @@ from benchmarks.ingest_learner import Ingest
 from benchmarks.machine import describe, machine
 from benchmarks.processes import bare_environment, run_json
 from benchmarks.raw_socket import receive
+from common.config.settings import RunSettings
 from common.errors import ReskpnError, SettingsError
-from common.settings import RunSettings
 from common.wire.endpoint import free_port
 
 END_S = 20.0

@@ -11,12 +11,12 @@ import time
 
 import numpy as np
 
-from common.rollout_shape import rollout_shape
-from common.settings import RunSettings
+from common.config.settings import RunSettings
+from common.runs.rollout_shape import rollout_shape
 from common.wire.messages import Orders, Rollout, RolloutShape
 from common.wire.session import Session, open_session
 from services.actor.heartbeat import Heart
-from services.actor.link import Link, Membership, join
+from services.worker.link import Link, Membership, join
 
 CONNECT_S = 60.0
 

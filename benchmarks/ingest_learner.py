@@ -12,15 +12,15 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from common.config.settings import RunSettings
 from common.errors import ProcessError
 from common.log.writer import LogWriter
 from common.maths.trees import to_arrays
-from common.settings import RunSettings
 from common.wire.messages import Rollout
 from common.wire.session import open_session
-from services.actor.collector import PolicyReader
-from services.learner.hub import Hub
-from services.learner.snapshots import make_snapshot
+from services.learner.endpoints.hub import Hub
+from services.learner.training.snapshots import make_snapshot
+from services.worker.policy_reader import PolicyReader
 
 RUN = "ingest"
 JOIN_S = 120.0

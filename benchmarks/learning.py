@@ -20,8 +20,8 @@ import numpy as np
 
 from benchmarks.machine import describe, machine
 from benchmarks.processes import run_json
+from common.config.settings import PHYSICS
 from common.errors import ReskpnError, SettingsError
-from common.settings import PHYSICS
 
 IMPLEMENTATIONS = ("own", "reference")
 MEASURES = {"last tenth": "mean return over the last tenth of the updates", "area": "mean height of the curve"}

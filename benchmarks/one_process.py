@@ -16,15 +16,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from common.config.settings import RunSettings
+from common.config.sources import add_options, load
 from common.errors import ReskpnError, SettingsError
 from common.physics import engines
 from common.runtime import prepare_jax
-from common.settings import RunSettings
-from common.settings_sources import add_options, load
 from common.wire.messages import Rollout
-from services.actor.collector import Collector, Place, PolicyReader
-from services.learner.statistics import Episodes
-from services.learner.trainer import Trainer
+from services.actor.collector import Collector, Place
+from services.learner.reporting.statistics import Episodes
+from services.learner.training.trainer import Trainer
+from services.worker.policy_reader import PolicyReader
 
 UPDATES = 40
 WARM_UP = 3

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from common.config.sources import OTHER_VARIABLES, PREFIX
 from common.errors import ProcessError
-from common.settings_sources import OTHER_VARIABLES, PREFIX
 
 _ROOT = Path(__file__).parent.parent
 

@@ -27,7 +27,7 @@ from benchmarks.processes import bare_environment
 from common.errors import ProcessError, ReskpnError, SettingsError
 from common.log.reader import LogReader
 from common.wire.endpoint import free_port
-from services.actor.state_file import read_state
+from services.worker.state_file import read_state
 
 GOES_ON_S = 2.0
 """Promised: from the moment a loss is noticed to the next update."""

@@ -22,11 +22,11 @@ from benchmarks.machine import describe, machine
 from benchmarks.processes import run_module
 from common.errors import ReskpnError
 from common.log.reader import LogReader
-from common.recorded.ahead import ahead
-from common.recorded.run import open_run
+from common.runs.ahead import ahead
+from common.runs.recorded_run import open_run
 from common.runtime import prepare_jax
-from services.learner.trainer import Trainer
-from services.learner.verify import Verdict, verify
+from services.learner.training.trainer import Trainer
+from services.replay.verify import Verdict, verify
 
 GOAL_SPEED = 1.2
 """Verification by the run's own speed, at least."""

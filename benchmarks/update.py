@@ -23,13 +23,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.machine import describe, machine
+from common.config.settings import RunSettings
 from common.learners import LEARNERS
 from common.maths.networks import make_networks
 from common.maths.rkhs.make import make_representation
 from common.maths.state import Batch, LearnerState, Mirror, initial_state
 from common.maths.update import make_update
 from common.runtime import prepare_jax
-from common.settings import RunSettings
 from common.tasks import TASKS
 
 PAPER = """\

@@ -11,15 +11,15 @@ from typing import Any
 
 from pydantic_settings import CliSettingsSource
 
+from common.config.settings import PHYSICS, RunSettings, TransportSettings
+from common.config.sources import PREFIX, add_options, load, load_over
 from common.errors import ReskpnError, SettingsError
 from common.learners import LEARNERS
-from common.settings import PHYSICS, RunSettings, TransportSettings
-from common.settings_sources import PREFIX, add_options, load, load_over
 from common.tasks import TASKS
 from common.wire.credentials import Credentials
-from reskpn.certs import EPILOG, add_certs_options, certs
-from reskpn.connection import add_connection, over
-from reskpn.resuming import AUTO, close_log, run_to_resume, see_off, settings_to_resume
+from reskpn.commands.certs import EPILOG, add_certs_options, certs
+from reskpn.commands.connection import add_connection, over
+from reskpn.commands.resuming import AUTO, close_log, run_to_resume, see_off, settings_to_resume
 
 EXIT_CODES = """\
 exit codes: 0 done, 1 a replay diverged from its log, 2 a setting is not possible, 3 no connection, 4 refused,
@@ -87,7 +87,7 @@ def _command(
 
 def _add_train(commands: Any) -> None:
     def call(given: argparse.Namespace) -> int:
-        from reskpn.train import train
+        from reskpn.supervision.crew import train
 
         if given.resume is None:
             return train(load(options, given, config=given.config))
@@ -104,7 +104,7 @@ def _add_train(commands: Any) -> None:
 
 def _add_learner(commands: Any) -> None:
     def call(given: argparse.Namespace) -> int:
-        from reskpn.supervised import stopping
+        from reskpn.supervision.stopping import stopping
         from services.learner.service import run_learner
 
         over = partial(load_over, options=options, arguments=given, config=given.config)
@@ -131,7 +131,7 @@ def _add_learner(commands: Any) -> None:
 
 def _add_actor(commands: Any) -> None:
     def call(given: argparse.Namespace) -> int:
-        from reskpn.supervised import stopping
+        from reskpn.supervision.stopping import stopping
         from services.actor.service import run_actor
 
         base = load(config=given.config)
@@ -179,7 +179,7 @@ def _add_following(parser: argparse.ArgumentParser, verb: str, service: str) -> 
 
 def _add_evaluator(commands: Any) -> None:
     def call(given: argparse.Namespace) -> int:
-        from reskpn.supervised import stopping
+        from reskpn.supervision.stopping import stopping
         from services.evaluator.service import Work, run_evaluator
 
         base = load(config=given.config)
@@ -209,8 +209,8 @@ def _add_evaluator(commands: Any) -> None:
 
 def _add_status(commands: Any) -> None:
     def call(given: argparse.Namespace) -> int:
-        from reskpn.status import endpoint_of, status
-        from reskpn.supervised import stopping
+        from reskpn.commands.status import endpoint_of, status
+        from reskpn.supervision.stopping import stopping
 
         transport = over(load().transport, given)
         if given.run_dir and not given.endpoint:
@@ -248,7 +248,7 @@ def _add_doctor(commands: Any) -> None:
 
 def _add_replay(commands: Any) -> None:
     def call(given: argparse.Namespace) -> int:
-        from reskpn import replay
+        from reskpn.commands import replay
 
         _refuse_strays(given)
         if given.into is not None:
@@ -298,7 +298,7 @@ def _add_certs(commands: Any) -> None:
 
 def _add_router(commands: Any) -> None:
     def call(given: argparse.Namespace) -> int:
-        from reskpn.supervised import stopping
+        from reskpn.supervision.stopping import stopping
         from services.router.service import run_router
 
         transport = over(load(config=given.config).transport, given)

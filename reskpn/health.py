@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from common.errors import ReskpnError, SessionError
 from common.wire.credentials import NOBODY, Credentials
-from services.actor.state_file import OLD_S, read_state
+from services.worker.state_file import OLD_S, read_state
 
 if TYPE_CHECKING:
     from common.wire.messages import JoinReply

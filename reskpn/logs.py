@@ -13,7 +13,7 @@ The log is read as the loop goes on and needs no JAX. Arrays are NumPy's and rea
 """
 
 from common.log.records import LogMessage
-from common.recorded.run import RecordedRun, RecordedUpdate, open_run
+from common.runs.recorded_run import RecordedRun, RecordedUpdate, open_run
 from common.wire.messages import Rollout
 
 __all__ = ["LogMessage", "RecordedRun", "RecordedUpdate", "Rollout", "open_run"]

@@ -9,8 +9,8 @@ from typing import Any
 
 from pydantic.fields import FieldInfo
 
-from common.settings import RunSettings, Section
-from common.settings_sources import PREFIX
+from common.config.settings import RunSettings, Section
+from common.config.sources import PREFIX
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / ".env.example"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from common.settings import TransportSettings
+from common.config.settings import TransportSettings
 from common.wire.access import Names, router_access_control
 
 FILE = Path(__file__).parent.parent / "deploy" / "zenohd.json5"

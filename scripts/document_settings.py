@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from common.settings import RunSettings, Section
-from common.settings_sources import PREFIX
+from common.config.settings import RunSettings, Section
+from common.config.sources import PREFIX
 
 PAGE = Path(__file__).parent.parent / "docs" / "settings.md"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from common.settings import RunSettings
+from common.config.settings import RunSettings
 from common.tasks import TASKS
 from reskpn.doctor.needs import needs, rollout_bytes
 

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 import yaml
 
-from common.settings import RunSettings
-from common.settings_sources import load
+from common.config.settings import RunSettings
+from common.config.sources import load
 from reskpn import cli
 from scripts import document_environment
 from scripts.document_environment import EXAMPLE, OWN, PASSED_ON, example, passed_on

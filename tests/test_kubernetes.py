@@ -12,7 +12,7 @@ import kubernetes_validate
 import pytest
 import yaml
 
-from common.settings_sources import load
+from common.config.sources import load
 from reskpn import cli, health
 from scripts.document_environment import OWN, passed_on
 

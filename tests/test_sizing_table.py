@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from common.settings import RunSettings
+from common.config.settings import RunSettings
 from reskpn.doctor.needs import UPDATE_BYTES
 from scripts.document_sizing import PAGE, page, table
 

@@ -20,12 +20,12 @@ import numpy as np
 from mirrors import no_mirror
 from mutations import Mutator
 
+from common.config.settings import RunSettings
+from common.config.sources import parse_json
 from common.errors import CodecError, ReskpnError
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
-from common.rollout_shape import rollout_shape
-from common.settings import RunSettings
-from common.settings_sources import parse_json
+from common.runs.rollout_shape import rollout_shape
 from common.tasks import TASKS
 from common.wire.assessment import Assessment
 from common.wire.keys import JOIN, STATUS, Keys
@@ -43,9 +43,9 @@ from common.wire.messages import (
 )
 from common.wire.report import RunReport
 from common.wire.session import Request
-from services.learner.display import Status
-from services.learner.evaluations import source_of
-from services.learner.hub import Hub
+from services.learner.endpoints.hub import Hub
+from services.learner.reporting.display import Status
+from services.learner.reporting.evaluations import source_of
 
 RUN = "run-1"
 KEYS = Keys(RUN)

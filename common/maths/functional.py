@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Key
 
+from common.config.rkhs import RkhsSettings
 from common.learners import Target
 from common.maths import gaussians, objectives, policy
 from common.maths.expansion import Momentum
@@ -22,7 +23,6 @@ from common.maths.networks import Networks, Parameters
 from common.maths.policy import Mean
 from common.maths.rkhs.representation import Function, Representation
 from common.maths.samples import Pairs, Samples, probe_stride, spread_rows
-from common.settings_rkhs import RkhsSettings
 
 Metrics = dict[str, Array]
 

@@ -82,7 +82,7 @@ def diagonal(kernel: Kernel, x: Float[Array, "B d"]) -> Float[Array, "B"]:
 
 
 def make_kernel(name: str, bandwidth: float, slope: float = 1.0, offset: float = 0.0) -> Kernel:
-    """The kernel of that name (`common.settings_rkhs.KERNELS`); slope and offset are the sigmoid's."""
+    """The kernel of that name (`common.config.rkhs.KERNELS`); slope and offset are the sigmoid's."""
     kernels: dict[str, Callable[[], Kernel]] = {
         "gaussian": lambda: gaussian(bandwidth),
         "laplacian": lambda: laplacian(bandwidth),

@@ -11,13 +11,13 @@ import optax
 from jax import Array
 from jaxtyping import Bool, Float, Int, UInt32
 
+from common.config.settings import AlgorithmSettings
 from common.maths import running
 from common.maths.expansion import Momentum
 from common.maths.networks import Networks, Parameters
 from common.maths.policy import Policy
 from common.maths.rkhs.representation import Function, Representation
 from common.maths.running import Moments
-from common.settings import AlgorithmSettings
 
 
 @jax.tree_util.register_dataclass

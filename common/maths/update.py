@@ -16,6 +16,7 @@ import optax
 from jax import Array
 from jaxtyping import Float, Int, Key
 
+from common.config.settings import AlgorithmSettings, RunSettings
 from common.learners import LEARNERS, Learner
 from common.maths import gaussians, objectives, policy, returns, running
 from common.maths.diagnostics import Diagnostics, finiteness
@@ -25,7 +26,6 @@ from common.maths.rkhs.make import make_representation
 from common.maths.rkhs.representation import Function, Representation
 from common.maths.samples import Pairs, Samples, flatten
 from common.maths.state import Batch, LearnerState, make_optimiser
-from common.settings import AlgorithmSettings, RunSettings
 
 
 @jax.tree_util.register_dataclass

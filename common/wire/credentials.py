@@ -21,7 +21,7 @@ from common.errors import SettingsError
 from common.wire.endpoint import Endpoint
 
 if TYPE_CHECKING:
-    from common.settings import TransportSettings
+    from common.config.settings import TransportSettings
 
 CA, CERTIFICATE, KEY = "ca.crt", "tls.crt", "tls.key"
 

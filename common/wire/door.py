@@ -16,7 +16,7 @@ from common.wire.refusals import REASONS, StandardOutputTap, of_zenoh, refusal
 from common.wire.session import Session, log_refused_connections
 
 if TYPE_CHECKING:
-    from common.settings import TransportSettings
+    from common.config.settings import TransportSettings
 
 OnRefused = Callable[[str, str], None]
 """(reason, a sentence on it)."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 
+from common.config.settings import RunSettings
 from common.printable import printable
-from common.settings import RunSettings
 from reskpn.doctor.findings import Finding
 
 TASK = "inverted_pendulum"
@@ -68,7 +68,7 @@ def step_once(physics: str) -> float:
 
 def state_sizes(settings: RunSettings) -> tuple[int, int]:
     """Bytes of the arrays of a policy, and of the whole state, of a run with these settings."""
-    from services.learner.trainer import Trainer
+    from services.learner.training.trainer import Trainer
 
     trainer = Trainer(settings)
     policy, state = trainer.policy_arrays(), trainer.state_arrays()

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from functools import cache
 
-from common.settings import RunSettings, TransportSettings
+from common.config.settings import RunSettings, TransportSettings
 from common.wire.credentials import Credentials
 from reskpn.doctor.engines import check_jax, check_mjx, check_native, state_sizes
 from reskpn.doctor.findings import Finding, guarded

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
-from common.run_directory import LOG, SETTINGS, SUMMARY
-from common.settings import RunSettings
+from common.config.settings import RunSettings
+from common.runs.directory import LOG, SETTINGS, SUMMARY
 from reskpn.doctor.findings import Finding, size
 from reskpn.doctor.needs import Needs
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from common.rollout_shape import rollout_shape
-from common.settings import RunSettings
+from common.config.settings import RunSettings
+from common.runs.rollout_shape import rollout_shape
 
 KEPT_CHECKPOINTS = 3
 UPDATE_BYTES = 8_000

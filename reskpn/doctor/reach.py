@@ -15,8 +15,8 @@ from common.wire.credentials import NOBODY, Credentials
 from common.wire.endpoint import Endpoint, free_port
 from common.wire.report import RunReport
 from common.wire.session import Session, open_session
+from reskpn.commands.status import ask, connect
 from reskpn.doctor.findings import Finding, size
-from reskpn.status import ask, connect
 
 CONNECT_S = 2.0
 FAR_S = 1.0

@@ -10,7 +10,7 @@ from typing import Literal, Self
 
 from common.errors import SessionError
 from common.wire.messages import Heartbeat
-from services.actor.link import Link, Membership
+from services.worker.link import Link, Membership
 
 PERIOD_S = 0.5
 

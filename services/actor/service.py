@@ -9,19 +9,20 @@ from pathlib import Path
 
 import jax
 
+from common.config.settings import TransportSettings
 from common.errors import CodecError, PhysicsError, SessionError
 from common.maths.policy import Policy
 from common.memory import keep_large_blocks
 from common.physics.engines import resolve_physics
 from common.runtime import hardware, prepare_jax, software_versions
-from common.settings import TransportSettings
 from common.wire.messages import Environment, Evaluation, Orders, Rollout, digest_arrays
 from common.wire.session import Session
-from services.actor.collector import Collector, Place, PolicyReader
-from services.actor.deterministic import evaluate
+from services.actor.collector import Collector, Place
 from services.actor.heartbeat import NO_POLICY, Heart
-from services.actor.link import Link, Lost, Membership, connect, join
-from services.actor.state_file import state_keeper
+from services.worker.deterministic import evaluate
+from services.worker.link import Link, Lost, Membership, connect, join
+from services.worker.policy_reader import PolicyReader
+from services.worker.state_file import state_keeper
 
 ORDERS_S = 0.5
 

@@ -6,7 +6,7 @@ import threading
 
 from common.wire.assessment import Assessment
 from common.wire.session import Session
-from services.actor.link import Following, Membership
+from services.worker.link import Following, Membership
 
 
 class EvaluatorLink(Following):

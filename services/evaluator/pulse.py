@@ -6,7 +6,7 @@ import threading
 from types import TracebackType
 from typing import Self
 
-from services.actor.state_file import OLD_S, Keep
+from services.worker.state_file import OLD_S, Keep
 
 PERIOD_S = OLD_S / 5
 

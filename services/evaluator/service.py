@@ -15,19 +15,19 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from common.config.settings import TransportSettings
 from common.errors import SessionError, SettingsError
 from common.physics.engines import resolve_physics
 from common.runtime import hardware, prepare_jax, software_versions
-from common.settings import TransportSettings
 from common.wire.assessment import MAX_EPISODES, MAX_POSITIONS, Assessment
 from common.wire.messages import Orders
 from common.wire.session import Session
-from services.actor.collector import PolicyReader
-from services.actor.deterministic import DeterministicEpisodes
-from services.actor.link import Lost, Membership, connect, join
-from services.actor.state_file import state_keeper
 from services.evaluator.link import EvaluatorLink
 from services.evaluator.pulse import Pulse
+from services.worker.deterministic import DeterministicEpisodes
+from services.worker.link import Lost, Membership, connect, join
+from services.worker.policy_reader import PolicyReader
+from services.worker.state_file import state_keeper
 
 ORDERS_S = 0.5
 UNHEARD_S = 60.0

@@ -9,23 +9,23 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from common.config.settings import RunSettings
 from common.errors import ReskpnError
 from common.memory import keep_large_blocks
-from common.run_directory import SETTINGS, SUMMARY, prepare_run_dir, write_json
+from common.runs.directory import SETTINGS, SUMMARY, prepare_run_dir, write_json
 from common.runtime import prepare_jax
-from common.settings import RunSettings
 from common.wire.door import make_door, refuse_open_doors
 from common.wire.session import Session
-from services.learner.again import Again
-from services.learner.checkpoints import Checkpoints
-from services.learner.evaluations import scalars as evaluation_scalars
-from services.learner.hub import Hub
-from services.learner.meeting import open_to_actors
-from services.learner.outlets import Outlets, open_outlets
-from services.learner.resume import Resumption, resume_run
-from services.learner.run import Run
-from services.learner.summary import conclude, describe, final_record, summarise
-from services.learner.trainer import Trainer
+from services.learner.endpoints.hub import Hub
+from services.learner.endpoints.listening import open_to_actors
+from services.learner.loop import Run
+from services.learner.reporting.evaluations import scalars as evaluation_scalars
+from services.learner.reporting.outlets import Outlets, open_outlets
+from services.learner.reporting.summary import conclude, describe, final_record, summarise
+from services.learner.resume.plan import Resumption, resume_run
+from services.learner.resume.resumed_replay import Again
+from services.learner.training.checkpoints import Checkpoints
+from services.learner.training.trainer import Trainer
 
 INTERRUPTED = 130
 """Exit code of a run that was asked to stop, as a shell reports Ctrl-C."""

@@ -6,8 +6,8 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 
+from common.config.settings import TransportSettings
 from common.errors import SettingsError
-from common.settings import TransportSettings
 from common.wire.access import LEARNER, Names, router_access_control
 from common.wire.credentials import Credentials, read_users
 from common.wire.door import make_door, refuse_open_doors

@@ -14,9 +14,9 @@ from benchmarks.ingest import Point, describe_limit, limit, table
 from benchmarks.ingest_actor import act, made_up
 from benchmarks.ingest_learner import Ingest, serve
 from benchmarks.raw_socket import receive
+from common.config.settings import RunSettings
 from common.log.reader import LogReader
-from common.rollout_shape import rollout_shape
-from common.settings import RunSettings
+from common.runs.rollout_shape import rollout_shape
 from common.wire.endpoint import free_port
 from common.wire.messages import Rollout
 

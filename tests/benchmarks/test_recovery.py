@@ -9,7 +9,7 @@ import pytest
 from benchmarks.recovery import RUN, Recovery, Timeline, compiled_at_s, run_options, table
 from common.errors import SettingsError
 from common.log.writer import LogWriter
-from services.actor.state_file import state_keeper
+from services.worker.state_file import state_keeper
 
 
 def write_log(run_dir: Path) -> None:

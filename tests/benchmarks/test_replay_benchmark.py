@@ -10,7 +10,7 @@ import pytest
 from recorded_runs import UPDATES, made_up, write_log
 
 from benchmarks import replay
-from services.learner.verify import Divergence, Verdict
+from services.replay.verify import Divergence, Verdict
 
 AGREED = Verdict(updates=UPDATES, loose_from=None, divergence=None, live_s=3.0, replay_s=2.0)
 

@@ -8,6 +8,6 @@ from tests.chaos.faulty import CLOCK
 CLOCK.install()
 
 import reskpn.cli  # noqa: E402
-import reskpn.supervised  # noqa: E402, F401
+import reskpn.supervision.stopping  # noqa: E402, F401
 import services.actor.service  # noqa: E402
 import services.learner.service  # noqa: E402, F401

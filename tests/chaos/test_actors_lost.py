@@ -32,8 +32,8 @@ from tests.chaos.interruptions import (
 pytestmark = pytest.mark.timeout(400)
 
 COLLECT = "services.actor.collector:Collector.collect"
-PUSH = "services.actor.link:Link.push"
-UPDATE = "services.learner.trainer:Trainer.update"
+PUSH = "services.worker.link:Link.push"
+UPDATE = "services.learner.training.trainer:Trainer.update"
 
 LOADED = 3
 """Times what is promised of a quiet machine: these are no measurements (`python -m benchmarks.recovery` makes them)."""

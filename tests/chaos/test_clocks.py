@@ -14,7 +14,7 @@ from tests.chaos.interruptions import OPTIONS, UPDATES, Apart, Processes, audite
 pytestmark = pytest.mark.timeout(400)
 
 HOUR_S = 3600
-UPDATE = "services.learner.trainer:Trainer.update"
+UPDATE = "services.learner.training.trainer:Trainer.update"
 COLLECT = "services.actor.collector:Collector.collect"
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from common.wire.report import RunReport
-from reskpn.status import ask, connect, endpoint_of
+from reskpn.commands.status import ask, connect, endpoint_of
 from tests.integration.small_runs import ACTORS, TICK, small_run
 
 LEASE_S = 2.0

@@ -22,10 +22,10 @@ TORN = "tear common.log.segment_writer:_Output.write 25 1000"
 IN_AN_UPDATE = {
     "half of a group is in the log": TORN,
     "in the log, and its actor has not heard so": "die after common.log.segment_writer:SegmentWriter.commit 25",
-    "the batch is in the log, not used": "die before services.learner.trainer:Trainer.update 7",
-    "updated, nothing said or written": "die after services.learner.trainer:Trainer.update 7",
-    "in publishing a snapshot": "die before services.learner.census:Census.published 8",
-    "the snapshot is out, its update is not in the log": "die before services.learner.run:Run._keep 7",
+    "the batch is in the log, not used": "die before services.learner.training.trainer:Trainer.update 7",
+    "updated, nothing said or written": "die after services.learner.training.trainer:Trainer.update 7",
+    "in publishing a snapshot": "die before services.learner.endpoints.monitor:Census.published 8",
+    "the snapshot is out, its update is not in the log": "die before services.learner.loop:Run._keep 7",
 }
 
 IN_A_CHECKPOINT = {
@@ -36,9 +36,9 @@ IN_A_CHECKPOINT = {
 }
 
 AT_THE_END = {
-    "the last update is made, nothing of it is written": "die before services.learner.run:Run._keep 60",
+    "the last update is made, nothing of it is written": "die before services.learner.loop:Run._keep 60",
     "in writing the last state": "die before pathlib:Path.replace 1 00000060.ckpt.part",
-    "the evaluation has been asked for": "die after services.learner.hub:Hub.ask_for_evaluation 1",
+    "the evaluation has been asked for": "die after services.learner.endpoints.hub:Hub.ask_for_evaluation 1",
     "evaluated, not written": "die before services.learner.service:conclude 1",
     "in writing the summary": "die before pathlib:Path.replace 1 summary.json.part",
     "the summary is written": "die after pathlib:Path.replace 1 summary.json.part",
@@ -51,8 +51,10 @@ IN_REPAIRING = {
 }
 
 IN_THE_TAIL = {
-    "before the second update of the tail is made again": "die before services.learner.trainer:Trainer.update 2",
-    "the next time when it is made again": "die after services.learner.trainer:Trainer.update 2",
+    "before the second update of the tail is made again": (
+        "die before services.learner.training.trainer:Trainer.update 2"
+    ),
+    "the next time when it is made again": "die after services.learner.training.trainer:Trainer.update 2",
 }
 
 

@@ -19,7 +19,7 @@ from common.wire.credentials import Credentials
 from common.wire.endpoint import free_port
 from common.wire.report import RunReport
 from reskpn.authority import make_all
-from reskpn.status import ask, connect
+from reskpn.commands.status import ask, connect
 from tests.integration.small_runs import BATCH, SMALL, TICK, small_run
 
 UPDATES = 4

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from small_runs import ACTORS, BATCH, ENVS, STEPS, Training, small_run
 
+from common.config.sources import parse_json
 from common.log.reader import LogReader
-from common.settings_sources import parse_json
 from common.wire.messages import Rollout
-from services.learner.checkpoints import list_checkpoints, read_checkpoint
-from services.learner.trainer import Trainer
+from services.learner.training.checkpoints import list_checkpoints, read_checkpoint
+from services.learner.training.trainer import Trainer
 
 UPDATES = 12
 pytestmark = pytest.mark.timeout(400)  # three processes load and compile for each run

@@ -12,9 +12,10 @@ from typing import Any
 
 import pytest
 
-import reskpn.train
+import reskpn.supervision.crew
 import services.actor.service
 import services.learner.service
+from common.config.settings import RunSettings, Section
 from common.errors import (
     CheckpointError,
     LogReadError,
@@ -24,7 +25,6 @@ from common.errors import (
     ProcessError,
     ReskpnError,
 )
-from common.settings import RunSettings, Section
 from common.wire.endpoint import free_port
 from common.wire.keys import JOIN
 from common.wire.messages import JoinReply
@@ -51,7 +51,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[RunSettings]:
         calls.append(settings)
         return 0
 
-    monkeypatch.setattr(reskpn.train, "train", train)
+    monkeypatch.setattr(reskpn.supervision.crew, "train", train)
     return calls
 
 
@@ -232,7 +232,7 @@ def test_every_error_has_its_exit_code(
     def train(settings: RunSettings) -> int:
         raise error("what happened and what to do")
 
-    monkeypatch.setattr(reskpn.train, "train", train)
+    monkeypatch.setattr(reskpn.supervision.crew, "train", train)
     assert said("train") == (code, "what happened and what to do")
 
 
@@ -242,7 +242,7 @@ def test_a_mistake_of_the_program_is_not_hidden(monkeypatch: pytest.MonkeyPatch)
     def train(settings: RunSettings) -> int:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(reskpn.train, "train", train)
+    monkeypatch.setattr(reskpn.supervision.crew, "train", train)
     with pytest.raises(ZeroDivisionError):
         main(["train"])
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from guarded_sides import GuardedLearner, Outside
 
-from common.settings import TransportSettings
+from common.config.settings import TransportSettings
 from common.wire.endpoint import free_port
 from reskpn.authority import Authority, make_all
 

@@ -13,18 +13,18 @@ from typing import Any, Self
 
 from samples import RUN, question, settings, snapshot
 
+from common.config.settings import TransportSettings
 from common.errors import SessionError
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
-from common.settings import TransportSettings
 from common.wire.credentials import NOBODY, Credentials
 from common.wire.door import make_door
 from common.wire.keys import JOIN, STATUS, Keys
 from common.wire.messages import JoinReply, PushReply, Rollout
 from common.wire.report import RunReport
 from common.wire.session import open_session
-from services.learner.hub import Hub
-from services.learner.meeting import open_to_actors
+from services.learner.endpoints.hub import Hub
+from services.learner.endpoints.listening import open_to_actors
 
 DEADLINE_S = 15.0
 REFUSED_S = 0.6

@@ -16,14 +16,14 @@ import zenoh
 from guarded_sides import KEYS, REFUSED_S, GuardedLearner, Outside, until
 from samples import heartbeat, question, rollout
 
+from common.config.settings import TransportSettings
 from common.errors import SessionError, SettingsError
-from common.settings import TransportSettings
 from common.wire.credentials import Credentials
 from common.wire.endpoint import free_port
 from common.wire.keys import JOIN
 from common.wire.messages import Orders
 from scripts.document_router import FILE, content
-from services.learner.meeting import open_to_actors
+from services.learner.endpoints.listening import open_to_actors
 from services.router.service import run_router
 
 

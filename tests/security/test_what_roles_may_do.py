@@ -14,8 +14,8 @@ import pytest
 from guarded_sides import KEYS, REFUSED_S, GuardedLearner, Outside, until
 from samples import RUN, STATUS_NOW, heartbeat, question, rollout, snapshot
 
+from common.config.settings import TransportSettings
 from common.errors import SessionError
-from common.settings import TransportSettings
 from common.wire.credentials import NOBODY, Credentials
 from common.wire.endpoint import free_port
 from common.wire.keys import JOIN, Keys

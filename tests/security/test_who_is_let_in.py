@@ -10,8 +10,8 @@ import pytest
 from guarded_sides import REFUSED_S, GuardedLearner, Outside, until
 from samples import rollout
 
+from common.config.settings import TransportSettings
 from common.errors import SessionError
-from common.settings import TransportSettings
 from common.wire.credentials import NOBODY, Credentials
 from common.wire.endpoint import free_port
 

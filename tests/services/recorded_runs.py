@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from samples import RUN, rollout, settings
 
+from common.config.settings import RunSettings
 from common.log.writer import LogWriter
 from common.runtime import hardware, software_versions, source_commit
-from common.settings import RunSettings
 from common.wire.messages import Rollout, Snapshot, digest_arrays
-from services.learner.trainer import Trainer
+from services.learner.training.trainer import Trainer
 
 UPDATES = 4
 SECONDS = {"wait": 0.5, "learner": 0.25, "publish": 0.125, "record": 0.125, "log": 9.0}

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from mirrors import no_mirror
 
-from common.settings import RunSettings
+from common.config.settings import RunSettings
 from common.wire.messages import Evaluation, Heartbeat, Join, Rollout, Snapshot, digest_arrays
-from services.learner.display import Status
+from services.learner.reporting.display import Status
 
 RUN = "run-1"
 

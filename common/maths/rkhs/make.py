@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from common.config.settings import RunSettings
 from common.maths.kernels import make_kernel
 from common.maths.rkhs.basis import Basis
 from common.maths.rkhs.clustering import Cluster
@@ -13,11 +14,10 @@ from common.maths.rkhs.fourier import Fourier
 from common.maths.rkhs.nystrom import Nystrom
 from common.maths.rkhs.pursuit import Pursuit
 from common.maths.rkhs.representation import Representation
-from common.settings import RunSettings
 
 
 def make_representation(settings: RunSettings, capacity: int | None = None) -> Representation[Any, Any]:
-    """By name (`common.settings_rkhs.REPRESENTATIONS`). A learner without h has an exact one without centres.
+    """By name (`common.config.rkhs.REPRESENTATIONS`). A learner without h has an exact one without centres.
 
     Args:
         capacity: in place of the settings'.

@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from common.config.settings import AlgorithmSettings, RkhsSettings, RunSettings
 from common.learners import LEARNERS
 from common.maths import trees
 from common.maths.networks import Networks, make_networks
 from common.maths.rkhs.make import make_representation
 from common.maths.state import Batch, LearnerState, Mirror, initial_state
 from common.maths.update import Metrics, Update, make_update
-from common.settings import AlgorithmSettings, RkhsSettings, RunSettings
 
 GAMMA = 0.5
 STEPS, ENVS, SLOTS, EPOCHS, MINIBATCHES = 3, 32, 2, 4, 2

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as nps
 from jaxtyping import TypeCheckError
 
+from common.config.rkhs import KERNELS
 from common.maths import kernels
 from common.maths.kernels import gaussian, make_kernel
-from common.settings_rkhs import KERNELS
 
 gram = jax.jit(kernels.gram, static_argnums=0)
 HALF = gaussian(0.5)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from small_learners import SmallLearner, random_batch, small_learner
 
+from common.config.settings import RunSettings
 from common.learners import LEARNERS
 from common.maths import policy, trees
 from common.maths.samples import Samples
-from common.settings import RunSettings
 
 
 def learner(name: str) -> SmallLearner:

@@ -7,12 +7,12 @@ import optax
 import pytest
 from small_learners import same_bits
 
+from common.config.settings import AlgorithmSettings
 from common.maths import trees
 from common.maths.kernels import gaussian
 from common.maths.networks import make_networks
 from common.maths.rkhs.exact import Exact
 from common.maths.state import LearnerState, initial_state, make_optimiser
-from common.settings import AlgorithmSettings
 
 ALGORITHM = AlgorithmSettings(hidden=(4,), learning_rate=0.1, adam_eps=1e-5, max_grad_norm=0.5)
 

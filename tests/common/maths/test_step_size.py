@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from small_learners import small_learner
 
+from common.config.settings import RunSettings
 from common.maths import gaussians
 from common.maths.functional import FunctionalStep
 from common.maths.policy import Mean, Policy
 from common.maths.samples import Pairs, Samples
 from common.maths.trees import to_arrays
-from common.settings import RunSettings
 
 COUNT = 64
 

@@ -9,11 +9,11 @@ from mirrors import no_mirror
 from small_learners import random_batch
 from update_cases import in_the_middle, one_gradient_step
 
+from common.config.settings import AlgorithmSettings, RunSettings
 from common.errors import NumericsError
-from common.settings import AlgorithmSettings, RunSettings
 from common.tasks import TASKS
 from common.wire.messages import Rollout
-from services.learner.trainer import Trainer
+from services.learner.training.trainer import Trainer
 
 PARTS = ("parameters", "optimiser", "expansion", "observation moments", "return moments")
 

@@ -11,6 +11,7 @@ import pytest
 from functions import gaussian_sum, points
 from small_learners import random_batch, small_learner
 
+from common.config.settings import RunSettings
 from common.maths.diagnostics import MEASURED
 from common.maths.kernels import gaussian, linear
 from common.maths.variance import (
@@ -20,7 +21,6 @@ from common.maths.variance import (
     three_gradients,
     variance_ratio,
 )
-from common.settings import RunSettings
 
 Z, ALPHA = points(30, 4), points(30, 3, seed=1)
 

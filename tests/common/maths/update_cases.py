@@ -10,10 +10,10 @@ import numpy as np
 import numpy_reference as reference
 from small_learners import Arrays, SmallLearner, changed, random_batch, small_learner
 
+from common.config.settings import AlgorithmSettings, RkhsSettings, RunSettings
 from common.maths import trees
 from common.maths.state import Batch, LearnerState
 from common.maths.update import Seen
-from common.settings import AlgorithmSettings, RkhsSettings, RunSettings
 
 GAMMA, LAMBDA, CLIP, VALUE_COEFFICIENT, ENTROPY_COEFFICIENT = 0.9, 0.8, 0.2, 0.5, 0.01
 BANDWIDTH, ETA, MOMENTUM = 0.5, 0.1, 0.9

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from common.config.settings import TransportSettings
 from common.errors import SessionError, SettingsError
-from common.settings import TransportSettings
 from common.wire.door import refuse_open_doors
 
 

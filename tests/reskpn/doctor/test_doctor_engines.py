@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import pytest
 
 import common.physics.environments
+from common.config.settings import RunSettings
 from common.errors import PhysicsError
-from common.settings import RunSettings
 from reskpn.doctor.engines import STEPPED, check_jax, check_mjx, check_native, state_sizes, step_once
 from reskpn.doctor.findings import guarded
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from common.settings import RunSettings
+from common.config.settings import RunSettings
 from reskpn.doctor import machine
 from reskpn.doctor.machine import (
     available_memory,

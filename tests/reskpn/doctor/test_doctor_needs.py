@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mirrors import no_mirror
 
-from common.settings import RunSettings
+from common.config.settings import RunSettings
 from common.wire.messages import Rollout
 from reskpn.doctor.needs import KEPT_CHECKPOINTS, PROCESS_BYTES, UPDATE_BYTES, needs, rollout_bytes
 

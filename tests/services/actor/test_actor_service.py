@@ -17,17 +17,17 @@ import numpy as np
 import pytest
 from samples import RUN, rollout, settings, snapshot
 
+from common.config.settings import TransportSettings
 from common.errors import CodecError, PhysicsError, RefusedError, SessionError
 from common.log.writer import LogWriter
-from common.settings import TransportSettings
 from common.wire.messages import Environment, digest_arrays
 from common.wire.session import Session
 from services.actor import service
 from services.actor.collector import Experience, Place
 from services.actor.service import run_actor
-from services.actor.state_file import read_state
-from services.learner.hub import Hub
-from services.learner.slots import Start
+from services.learner.endpoints.hub import Hub
+from services.learner.scheduling.slots import Start
+from services.worker.state_file import read_state
 
 DEADLINE_S = 15.0
 TIMING = {"collect": 0.5}

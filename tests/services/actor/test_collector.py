@@ -18,8 +18,9 @@ from common.maths.rkhs.make import make_representation
 from common.maths.trees import to_arrays
 from common.physics.environments import BatchedEnvironment, make_environment
 from common.wire.messages import Rollout, RolloutShape
-from services.actor.collector import COLLECT, RESET, Collector, Experience, Place, PolicyReader
-from services.actor.deterministic import DeterministicEpisodes, evaluate
+from services.actor.collector import COLLECT, RESET, Collector, Experience, Place
+from services.worker.deterministic import DeterministicEpisodes, evaluate
+from services.worker.policy_reader import PolicyReader
 
 ENVS, STEPS, EPISODE = 4, 5, 7
 ROLLOUTS = 8

@@ -15,7 +15,7 @@ from common.errors import SessionError
 from common.wire.messages import Heartbeat
 from services.actor import heartbeat
 from services.actor.heartbeat import NO_POLICY, Heart
-from services.actor.link import Membership
+from services.worker.link import Membership
 
 DEADLINE_S = 15.0
 MEMBER = Membership(RUN, 3, 1, "a", settings())

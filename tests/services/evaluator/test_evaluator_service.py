@@ -16,17 +16,17 @@ import numpy as np
 import pytest
 from samples import RUN, settings, snapshot
 
+from common.config.settings import TransportSettings
 from common.errors import RefusedError, SessionError, SettingsError
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
-from common.settings import TransportSettings
 from common.wire.session import Session
-from services.actor.deterministic import Episodes
-from services.actor.state_file import read_state
 from services.evaluator import service
 from services.evaluator.link import EvaluatorLink
 from services.evaluator.service import Work, run_evaluator
-from services.learner.hub import Hub
+from services.learner.endpoints.hub import Hub
+from services.worker.deterministic import Episodes
+from services.worker.state_file import read_state
 
 DEADLINE_S = 15.0
 

@@ -1,4 +1,4 @@
-"""A learner's hub and its actors for the tests of the hub; a trainer and a log of what it did for those of replays."""
+"""A learner's hub and its actors for the tests of the hub."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from typing import Any
 
 import pytest
 from hub_sides import Actor, Learner
-from recorded_runs import Recording, record, trainer_settings
 
 from common.errors import SessionError
 from common.wire.session import Session
-from services.learner.trainer import Trainer
 
 
 @pytest.fixture
@@ -49,17 +47,3 @@ def actors(sessions: Callable[..., Session], until: Callable[..., None]) -> Call
         return actor
 
     return make
-
-
-@pytest.fixture(scope="session")
-def trainer() -> Trainer:
-    """Compiled once; `Recording.start` puts it back to the beginning."""
-    trainer = Trainer(trainer_settings())
-    trainer.compile()
-    return trainer
-
-
-@pytest.fixture(scope="session")
-def recording(trainer: Trainer) -> Recording:
-    """Four updates of that trainer, as they are logged."""
-    return record(trainer)

@@ -14,7 +14,7 @@ from common.log.writer import LogWriter
 from common.wire.keys import JOIN, Keys
 from common.wire.messages import JoinReply, PushReply, Rollout
 from common.wire.session import Session
-from services.learner.hub import Hub
+from services.learner.endpoints.hub import Hub
 
 DEADLINE_S = 15.0
 KEYS = Keys(RUN)

@@ -18,9 +18,9 @@ from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from common.wire.messages import Evaluation
 from services.learner import service
-from services.learner.outlets import Events
-from services.learner.statistics import TrainingReturn
-from services.learner.summary import conclude, describe, final_record, summarise
+from services.learner.reporting.outlets import Events
+from services.learner.reporting.statistics import TrainingReturn
+from services.learner.reporting.summary import conclude, describe, final_record, summarise
 
 # -- the summary -------------------------------------------------------------------------------------------
 

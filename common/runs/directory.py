@@ -1,0 +1,68 @@
+"""The folder of a run: its name, what may be in it, and files that are whole or absent."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+from common.config.settings import RunSettings
+from common.errors import SettingsError
+
+SUMMARY = "summary.json"
+SETTINGS = "settings.json"
+LOG = "log"
+
+RUNS = Path("runs")
+"""Where runs are kept by default."""
+
+
+def prepare_run_dir(settings: RunSettings) -> Path:
+    """The run's folder, made, with the settings in it. SettingsError as `claim_run_dir`."""
+    run_dir = claim_run_dir(settings)
+    try:
+        write_json(run_dir / SETTINGS, settings.model_dump(mode="json"))
+    except OSError as error:
+        raise _cannot_write(run_dir, error) from None
+    return run_dir
+
+
+def claim_run_dir(settings: RunSettings) -> Path:
+    """The run's folder, made. SettingsError where it holds another run or cannot be made."""
+    run_dir = settings.run_dir or default_run_dir(settings)
+    try:
+        run_dir.mkdir(parents=True, exist_ok=True)
+        taken = [name for name in (SUMMARY, SETTINGS, LOG) if (run_dir / name).exists()]
+    except OSError as error:
+        raise _cannot_write(run_dir, error) from None
+    if taken:
+        raise SettingsError(
+            f"run_dir {run_dir} already holds a run ({', '.join(taken)}); choose another directory, "
+            "or move that run away"
+        )
+    return run_dir
+
+
+def _cannot_write(run_dir: Path, error: OSError) -> SettingsError:
+    return SettingsError(
+        f"run_dir {run_dir} cannot be written ({error.strerror}); choose a directory that this user may write, "
+        "with --run-dir"
+    )
+
+
+def default_run_dir(settings: RunSettings) -> Path:
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    return RUNS / f"{settings.task}-{settings.learner}-s{settings.seed}-{stamp}"
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write beside, sync, rename: the file is whole or absent."""
+    beside = path.with_suffix(path.suffix + ".part")
+    with beside.open("w") as file:
+        json.dump(content, file, indent=2)
+        file.write("\n")
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)

@@ -1,0 +1,149 @@
+"""The settings of a run that is resumed: those that it began with, but for the few that may change."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from common.config.settings import RunSettings
+from common.config.sources import parse_json
+from common.errors import LogReadError, ReskpnError, SettingsError
+from common.log.reader import LogReader
+from common.log.segments import LOG_DIRECTORY, list_segments
+from common.runs.directory import SETTINGS, SUMMARY
+
+MAY_CHANGE = ("transport.", "total_steps", "run_dir")
+"""Settings, or sections of them, that do not decide what a run learns from what it has collected."""
+
+
+@dataclass(frozen=True)
+class Interrupted:
+    """A run directory as it was left.
+
+    `complete`: all updates of `settings` were made, and evaluated. `untold`: it is, but its log was not closed,
+    which is the last that a learner does, after its actors have heard that the run is over.
+    """
+
+    run_dir: Path
+    settings: RunSettings
+    complete: bool
+    untold: bool
+
+
+def holds_run(run_dir: Path) -> bool:
+    """Whether a run was begun there."""
+    return (run_dir / SETTINGS).exists() or bool(list_segments(run_dir / LOG_DIRECTORY))
+
+
+def read_interrupted(run_dir: Path) -> Interrupted:
+    """The run in a directory.
+
+    Raises:
+        SettingsError: there is none.
+        LogReadError: its log is damaged.
+    """
+    if not holds_run(run_dir):
+        raise SettingsError(
+            f"--resume {run_dir}: no run was begun there; give the directory of a run, the one that holds its "
+            f"{SETTINGS} and {LOG_DIRECTORY}"
+        )
+    settings = parse_json(_settings_text(run_dir)).model_copy(update={"run_dir": run_dir.absolute()})
+    complete = _is_complete(run_dir)
+    return Interrupted(run_dir, settings, complete, complete and _is_open(run_dir))
+
+
+def newest_interrupted(folder: Path, settings: RunSettings) -> Path | None:
+    """The newest run in a folder of runs, where it began with these settings and is not complete, or untold; else None.
+
+    Where it listened, and where it is kept, do not count.
+    """
+    begun = [path for path in folder.glob("*") if holds_run(path)]
+    if not begun:
+        return None
+    newest = max(begun, key=lambda path: path.stat().st_mtime_ns)
+    try:
+        found = read_interrupted(newest)
+    except ReskpnError:
+        return None
+    places = ("transport.", "run_dir")
+    pairs = _differences(found.settings.model_dump(mode="json"), settings.model_dump(mode="json"))
+    same = all(name.startswith(places) for name, _, _ in pairs)
+    return newest if same and (found.untold or not found.complete) else None
+
+
+def resumed_settings(found: Interrupted, load: Callable[[RunSettings], RunSettings]) -> RunSettings:
+    """The settings to resume with: `load` puts what is given now over those of the run.
+
+    Raises:
+        SettingsError: something else than `MAY_CHANGE` would be another run, or there would be fewer steps.
+    """
+    base = found.settings
+    given = load(base)
+    changed = [
+        f"{name} (it is {json.dumps(old)}, given {json.dumps(new)})"
+        for name, old, new in _differences(base.model_dump(mode="json"), given.model_dump(mode="json"))
+        if not name.startswith(MAY_CHANGE) and (name, new) != ("rkhs.capacity", base.capacity)
+    ]
+    if changed:
+        raise SettingsError(
+            f"--resume {found.run_dir}: a run goes on with the settings it began with, but for transport and more "
+            f"total_steps; leave out {', '.join(changed)}, or start another run"
+        )
+    if given.run_dir is None or given.run_dir.absolute() != base.run_dir:
+        raise SettingsError(f"--resume {found.run_dir}: the run stays there; leave out run_dir {given.run_dir}")
+    if given.total_steps < base.total_steps:
+        raise SettingsError(
+            f"--resume {found.run_dir}: total_steps {given.total_steps} is less than the run's {base.total_steps}; "
+            "leave it out, or give more"
+        )
+    return _as_large(base, given.model_copy(update={"run_dir": base.run_dir}))
+
+
+def _as_large(base: RunSettings, given: RunSettings) -> RunSettings:
+    """More updates could make more room for h, and the state of the run would not fit any more: keep its size."""
+    if given.capacity == base.capacity:
+        return given
+    rkhs = given.rkhs.model_copy(update={"capacity": base.capacity})
+    return given.model_copy(update={"rkhs": rkhs})
+
+
+def _settings_text(run_dir: Path) -> str:
+    """The newest settings in the log; those beside it where the log had not begun."""
+    if list_segments(run_dir / LOG_DIRECTORY):
+        text = LogReader(run_dir).metadata().get("settings", {}).get("json")
+        if text is not None:
+            return text
+    try:
+        return (run_dir / SETTINGS).read_text()
+    except OSError as error:
+        raise LogReadError(
+            f"neither the log in {run_dir} nor {SETTINGS} says what the run was ({error.strerror}); start another one"
+        ) from None
+
+
+def _is_complete(run_dir: Path) -> bool:
+    try:
+        summary = json.loads((run_dir / SUMMARY).read_text())
+    except (OSError, ValueError):
+        return False
+    return isinstance(summary, dict) and summary.get("complete") is True
+
+
+def _is_open(run_dir: Path) -> bool:
+    if not list_segments(run_dir / LOG_DIRECTORY):
+        return False
+    try:
+        return bool(LogReader(run_dir).torn)
+    except LogReadError:
+        return False  # who reads it hears of the damage; of a run that is over there is nothing to go on with
+
+
+def _differences(old: Mapping[str, Any], new: Mapping[str, Any], section: str = "") -> Iterator[tuple[str, Any, Any]]:
+    for name, value in old.items():
+        if isinstance(value, Mapping) and isinstance(new[name], Mapping):
+            yield from _differences(value, new[name], f"{section}{name}.")
+        elif new[name] != value:
+            yield f"{section}{name}", value, new[name]

@@ -1,0 +1,19 @@
+"""The sizes that the rollouts of a run have, for whoever checks or counts them."""
+
+from __future__ import annotations
+
+from common.config.settings import RunSettings
+from common.tasks import TASKS
+from common.wire.messages import RolloutShape
+
+
+def rollout_shape(settings: RunSettings) -> RolloutShape:
+    """Of one actor's rollouts."""
+    task = TASKS[settings.task]
+    return RolloutShape(
+        num_steps=settings.num_steps,
+        num_envs=settings.envs_per_actor,
+        observation_size=task.observation_size,
+        action_size=task.action_size,
+        branches=settings.branches // settings.actors,
+    )

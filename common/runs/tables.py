@@ -1,0 +1,215 @@
+"""A recorded run as Parquet files: transitions, episodes, and what was measured at every update.
+
+Transitions are written as the log is read, a row group at a time; what is kept of the updates is their numbers.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
+
+from common.errors import SettingsError
+from common.runs.recorded_run import RecordedRun, RecordedUpdate
+from common.tasks import TASKS
+from common.wire.messages import Rollout
+
+ROLLOUTS, EPISODES, METRICS = "rollouts.parquet", "episodes.parquet", "metrics.parquet"
+FILES = (ROLLOUTS, EPISODES, METRICS)
+
+_GROUP_BYTES = 32 << 20
+"""Bytes of a row group before it is compressed."""
+
+_ORIGIN = (
+    ("version", pa.int64()),
+    ("slot", pa.int32()),
+    ("incarnation", pa.string()),
+    ("seq", pa.int64()),
+)
+"""Which update used a rollout (null: none), and the rollout's name."""
+
+
+def extract(run: RecordedRun, folder: Path, on_update: Callable[[RecordedUpdate], None]) -> dict[str, int]:
+    """Write the files of a run into `folder`, which is made; returns the rows of each.
+
+    A file is there whole or not at all.
+
+    Args:
+        on_update: called after each update.
+
+    Raises:
+        LogReadError: the log is damaged.
+        SettingsError: a file is there already, or cannot be written.
+    """
+    if taken := [name for name in FILES if (folder / name).exists()]:
+        raise SettingsError(f"{folder} already holds {', '.join(taken)}; choose another directory, or move them away")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return _extract(run, folder, on_update)
+    except OSError as error:
+        raise SettingsError(
+            f"{folder} cannot be written ({error.strerror or error}); choose a directory that this user may write, on "
+            "a disk with room"
+        ) from None
+
+
+def _extract(run: RecordedRun, folder: Path, on_update: Callable[[RecordedUpdate], None]) -> dict[str, int]:
+    task = TASKS[run.settings.task]
+    numbers = Numbers()
+    with ExitStack() as stack:
+        schema = rollout_schema(task.observation_size, task.action_size)
+        rollouts = stack.enter_context(_table(folder / ROLLOUTS, schema))
+        episodes = stack.enter_context(_table(folder / EPISODES, EPISODE_SCHEMA))
+
+        def add(rollout: Rollout, version: int | None) -> None:
+            rollouts.add(_transitions(rollout, version, schema))
+            episodes.add(_episodes(rollout, version))
+
+        for update in run.updates(on_unused=lambda rollout: add(rollout, None)):
+            for rollout in update.rollouts:
+                add(rollout, update.version)
+            numbers.add(update)
+            on_update(update)
+        batch = numbers.batch()
+        metrics = stack.enter_context(_table(folder / METRICS, batch.schema))
+        metrics.add(batch)
+    return {ROLLOUTS: rollouts.rows, EPISODES: episodes.rows, METRICS: metrics.rows}
+
+
+def rollout_schema(observation_size: int, action_size: int) -> pa.Schema:
+    """Columns of the transitions: one row for each step `t` of each environment `env` of a rollout."""
+    return pa.schema(
+        [
+            *_ORIGIN,
+            ("policy_version", pa.int64()),
+            ("t", pa.int32()),
+            ("env", pa.int32()),
+            ("observation", pa.list_(pa.float32(), observation_size)),
+            ("action", pa.list_(pa.float32(), action_size)),
+            ("log_prob", pa.float32()),
+            ("reward", pa.float32()),
+            ("terminated", pa.bool_()),
+            ("truncated", pa.bool_()),
+        ]
+    )
+
+
+EPISODE_SCHEMA = pa.schema([*_ORIGIN, ("return", pa.float32()), ("length", pa.int32())])
+"""Columns of the episodes: one row for each that ended in a rollout."""
+
+
+class Numbers:
+    """The numbers of every update by column; eight bytes each, for a run may have very many."""
+
+    def __init__(self) -> None:
+        self._columns: dict[str, array[float]] = {}
+        self._whole: dict[str, array[int]] = {name: array("q") for name in ("version", "env_steps", "t_ns")}
+        self._digests: list[str] = []
+
+    def add(self, update: RecordedUpdate) -> None:
+        """The next row. What other updates have and this one has not is null, as is what was not finite."""
+        rows = len(self._digests)
+        values = {
+            **{f"staleness/{name}": value for name, value in update.staleness.items()},
+            **{f"seconds/{name}": value for name, value in update.seconds.items()},
+            **update.metrics,
+        }
+        for name in values.keys() - self._columns.keys():
+            self._columns[name] = array("d", [np.nan]) * rows
+        for name, column in self._columns.items():
+            value = values.get(name)
+            column.append(np.nan if value is None else value)
+        for name, whole in self._whole.items():
+            whole.append(getattr(update, name))
+        self._digests.append(update.state_digest)
+
+    def batch(self) -> pa.RecordBatch:
+        """All rows."""
+        columns: dict[str, Any] = {name: pa.array(np.array(whole)) for name, whole in self._whole.items()}
+        columns["state_digest"] = pa.array(self._digests, pa.string())
+        for name, column in sorted(self._columns.items()):
+            columns[name] = pa.array(np.array(column), from_pandas=True)
+        return pa.RecordBatch.from_pydict(columns)
+
+
+class _Table:
+    """A Parquet file under way."""
+
+    def __init__(self, writer: parquet.ParquetWriter, schema: pa.Schema) -> None:
+        self.rows = 0
+        self._writer = writer
+        self._schema = schema
+        self._batches: list[pa.RecordBatch] = []
+
+    def add(self, batch: pa.RecordBatch) -> None:
+        """Put rows at the end."""
+        self.rows += batch.num_rows
+        self._batches.append(batch)
+        if sum(batch.nbytes for batch in self._batches) >= _GROUP_BYTES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the rows that are held as one row group."""
+        table = pa.Table.from_batches(self._batches, self._schema)
+        if table.num_rows:
+            self._writer.write_table(table, row_group_size=table.num_rows)
+        self._batches.clear()
+
+
+@contextmanager
+def _table(path: Path, schema: pa.Schema) -> Iterator[_Table]:
+    """A table that becomes the file `path` at the end of the block, and nothing if the block raises."""
+    beside = path.with_suffix(".part")
+    try:
+        # Floats hardly repeat: a dictionary of their values would only cost time.
+        with parquet.ParquetWriter(beside, schema, use_dictionary=["incarnation", "state_digest"]) as writer:
+            table = _Table(writer, schema)
+            yield table
+            table.flush()
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _transitions(rollout: Rollout, version: int | None, schema: pa.Schema) -> pa.RecordBatch:
+    steps, envs = rollout.reward.shape
+    columns = {
+        **_origin(rollout, version, steps * envs),
+        "policy_version": _constant(rollout.policy_version, pa.int64(), steps * envs),
+        "t": pa.array(np.repeat(np.arange(steps, dtype=np.int32), envs)),
+        "env": pa.array(np.tile(np.arange(envs, dtype=np.int32), steps)),
+        "observation": _vectors(rollout.obs),
+        "action": _vectors(rollout.action),
+    }
+    for name in ("log_prob", "reward", "terminated", "truncated"):
+        columns[name] = pa.array(getattr(rollout, name).reshape(-1))
+    return pa.RecordBatch.from_arrays([columns[name] for name in schema.names], schema=schema)
+
+
+def _episodes(rollout: Rollout, version: int | None) -> pa.RecordBatch:
+    columns = {
+        **_origin(rollout, version, len(rollout.episode_return)),
+        "return": pa.array(rollout.episode_return),
+        "length": pa.array(rollout.episode_length),
+    }
+    return pa.RecordBatch.from_arrays([columns[name] for name in EPISODE_SCHEMA.names], schema=EPISODE_SCHEMA)
+
+
+def _origin(rollout: Rollout, version: int | None, rows: int) -> dict[str, Any]:
+    values = {"version": version, "slot": rollout.slot, "incarnation": rollout.incarnation, "seq": rollout.seq}
+    return {name: _constant(values[name], kind, rows) for name, kind in _ORIGIN}
+
+
+def _constant(value: int | str | None, kind: pa.DataType, rows: int) -> pa.Array:
+    return pa.nulls(rows, kind) if value is None else pa.repeat(pa.scalar(value, kind), rows)
+
+
+def _vectors(values: np.ndarray) -> pa.Array:
+    """[T, N, X] as T * N lists of X numbers."""
+    return pa.FixedSizeListArray.from_arrays(pa.array(values.reshape(-1)), values.shape[-1])

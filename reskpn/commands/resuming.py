@@ -1,0 +1,66 @@
+"""What `--resume` means: which run, with which settings, and whether there is anything left to do."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from common.config.settings import RunSettings
+from common.runs.directory import RUNS
+from common.runs.resumed_settings import holds_run, newest_interrupted, read_interrupted, resumed_settings
+
+AUTO = "auto"
+
+
+def settings_to_resume(run_dir: Path, load: Callable[[RunSettings], RunSettings]) -> RunSettings | None:
+    """The settings to go on with; None, which is said, where the run is complete and no more steps are asked for.
+
+    `load` puts what is given now over the settings of the run. SettingsError as `resumed_settings`.
+    """
+    found = read_interrupted(run_dir)
+    settings = resumed_settings(found, load)
+    if found.complete and settings.updates == found.settings.updates:
+        print(
+            f"{run_dir}: this run has finished, with {settings.updates} updates; "
+            "give more --total-steps to go on with it",
+            flush=True,
+        )
+        return None
+    return settings
+
+
+def close_log(run_dir: Path) -> int:
+    """Of a finished run whose learner was killed before it could, with nobody left to be told. Returns 0."""
+    from services.learner.resume.plan import repair_log
+
+    if read_interrupted(run_dir).untold:
+        for note in repair_log(run_dir):
+            print(note, flush=True)
+    return 0
+
+
+def see_off(run_dir: Path, load: Callable[[RunSettings], RunSettings], stop: threading.Event) -> int:
+    """Of a finished run: tell its actors so, where its learner was killed before it could. Returns 0.
+
+    Raises as `bid_farewell`, and SettingsError as `resumed_settings`.
+    """
+    from services.learner.resume.shutdown_notice import bid_farewell
+
+    found = read_interrupted(run_dir)
+    if found.untold:
+        transport = resumed_settings(found, load).transport
+        bid_farewell(run_dir, transport, stop=stop, say=lambda text: print(text, flush=True))
+    return 0
+
+
+def run_to_resume(settings: RunSettings) -> str | None:
+    """For `--resume auto`: the directory of the run to go on with; None to start one.
+
+    That is the run in --run-dir; or else the newest one where runs are kept, if it is of these settings and unfinished,
+    or its learner was killed before its actors had heard that it is over.
+    """
+    if settings.run_dir is not None:
+        return str(settings.run_dir) if holds_run(settings.run_dir) else None
+    newest = newest_interrupted(RUNS, settings)
+    return None if newest is None else str(newest)

@@ -1,0 +1,300 @@
+"""The learner's side of every conversation: orders, snapshots, heartbeats, and a desk for each kind of question.
+
+Handlers run on Zenoh's threads. They check and enqueue, under one lock, and never wait.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import asdict
+from functools import partial
+
+from common.config.settings import RunSettings
+from common.errors import CodecError
+from common.log.records import encode_json
+from common.log.writer import LogWriter
+from common.printable import printable
+from common.wire.keys import JOIN, STATUS, Keys, parse_alive
+from common.wire.messages import (
+    Evaluation,
+    Heartbeat,
+    PushReply,
+    Rollout,
+    Snapshot,
+)
+from common.wire.report import RunReport
+from common.wire.session import Request, Session
+from services.learner.endpoints.admission import check_evaluation, check_heartbeat
+from services.learner.endpoints.environments import EnvironmentDesk
+from services.learner.endpoints.evaluators import EvaluatorDesk
+from services.learner.endpoints.joins import JoinDesk
+from services.learner.endpoints.monitor import Census
+from services.learner.endpoints.rollouts import RolloutDesk
+from services.learner.reporting.display import Status
+from services.learner.scheduling.fleet import Fleet, gathering_of
+from services.learner.scheduling.slots import ACCEPTED, Start
+
+SILENT_S = 30.0
+"""An actor that sends no heartbeat for so long has lost its slot, whatever its connection looks like."""
+
+
+class Hub:
+    """Joins wire, log and fleet. The learner's loop calls `begin`, `rollouts`, `evaluation` and `finish`."""
+
+    def __init__(
+        self,
+        run: str,
+        settings: RunSettings,
+        session: Session,
+        log: LogWriter,
+        on_event: Callable[[str, str, str], None],
+        *,
+        starts: Sequence[Start] = (),
+        logged_environments: Collection[tuple[int, int, int]] = (),
+    ) -> None:
+        """`on_event(level, name, text)` is told what a person may want to know; it must not block. A resumed run's
+        slots go on at `starts`; its log has the `logged_environments` (version, slot, generation).
+        """
+        self._run = run
+        self._settings = settings
+        self._session = session
+        self._on_event = on_event
+        self._keys = Keys(run)
+        self._changed = threading.Condition()
+        # Under the condition, from here
+        self._fleet = Fleet(run, settings.actors, starts, gathering_of(settings))
+        self._snapshot = b""
+        self._digest = ""
+        self._evaluation: Evaluation | None = None
+        self._census = Census(run, settings, time.monotonic())
+        self._opened_s = time.monotonic()
+        # to here.
+        self.environments = EnvironmentDesk(
+            run, settings, log, self._fleet, self._changed, partial(self._refused, "environment"), logged_environments
+        )
+        self.evaluators = EvaluatorDesk(
+            run, settings, log, self._fleet, self._changed, partial(self._refused, "assessment"), time.monotonic
+        )
+        self._joins = JoinDesk(
+            run,
+            settings,
+            self._fleet,
+            self._census,
+            self.evaluators,
+            self._changed,
+            partial(self._refused, "join"),
+            on_event,
+        )
+        self._rollouts = RolloutDesk(run, settings, log, self._fleet, self._census, self._changed)
+        self._orders = session.publisher(self._keys.policy_notify, express=True, high_priority=True)
+        self._metrics = session.publisher(self._keys.metrics)
+        self._status = session.publisher(self._keys.status)
+
+    def open(self) -> None:
+        """Begin to answer. The first snapshot must be there (`begin`)."""
+        session, keys = self._session, self._keys
+        session.serve(keys.policy_latest, self._serve_snapshot)
+        session.serve(keys.rollouts, self._rollouts.on_request)
+        session.serve(keys.evaluations, self._on_evaluation)
+        session.serve(keys.environments, self.environments.on_request)
+        session.serve(keys.assessments, self.evaluators.on_request)
+        session.subscribe(keys.heartbeats, self._on_heartbeat)
+        session.watch_alive(keys.all_alive, self._on_alive)
+        session.declare_alive(keys.alive("learner", "learner"))
+        session.serve(STATUS, lambda request: request.reply(self.report().encode()))
+        session.serve(JOIN, self._joins.on_request)
+        self._opened_s = time.monotonic()
+
+    # -- for the learner's loop ----------------------------------------------------------------------------
+
+    def begin(
+        self,
+        snapshot: Snapshot,
+        *,
+        collect: bool = True,
+        hand_in: bool = False,
+        logged: Collection[Rollout] = (),
+        settled: Collection[Rollout] = (),
+    ) -> bytes:
+        """Publish a version and collect for it as `Fleet.begin`, or no more at all; returns the snapshot's bytes."""
+        data = snapshot.encode()
+        with self._changed:
+            self._snapshot, self._digest = data, snapshot.digest
+            overtaken = self._fleet.begin(
+                snapshot.version, collect=collect, hand_in=hand_in, logged=logged, settled=settled
+            )
+            for rollout in overtaken:
+                text = f"made with policy {rollout.policy_version}, overtaken by those of version {snapshot.version}"
+                self._census.refused("rollout", "overtaken", text, time.monotonic())
+            self.environments.forget()
+            self._census.published(snapshot.version, time.monotonic())
+        self.announce()
+        return data
+
+    def rollouts(self, timeout_s: float) -> list[Rollout] | None:
+        """The rollouts of the version in their order, or None when they are not complete within the time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._fleet.take() or self._fleet.departure, timeout_s)
+            return None if self._fleet.departure else self._fleet.take()
+
+    def departure(self) -> str | None:
+        """As `Fleet.departure`."""
+        with self._changed:
+            return self._fleet.departure
+
+    def start_over(self, starts: Sequence[Start], settled: Collection[Rollout], *, collect: bool) -> None:
+        """As `Fleet.start_over`: the actors find out by the orders, which do not name them, and join again."""
+        with self._changed:
+            self._fleet.start_over(starts, settled, collect=collect)
+        self.announce()
+
+    def ask_for_evaluation(self, episodes: int) -> None:
+        with self._changed:
+            self._fleet.evaluate(episodes)
+        self.announce()
+
+    def evaluation(self, timeout_s: float) -> Evaluation | None:
+        """The evaluation asked for, or None when it did not come within the time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._evaluation is not None, timeout_s)
+            return self._evaluation
+
+    def finish(self) -> None:
+        """Tell all actors that the run is over."""
+        with self._changed:
+            self._fleet.finish()
+        self.announce()
+
+    def announce(self) -> None:
+        """Say what is wanted now. Said again and again by the loop, since a put may be lost."""
+        with self._changed:
+            orders = self._fleet.orders(digest=self._digest, size=len(self._snapshot), t_ns=time.time_ns())
+            # Under the condition, so that of two threads the one with the newer orders speaks last.
+            self._orders.put(orders.encode())
+
+    def drop_silent(self) -> None:
+        """Free the slots of actors that are connected but send no heartbeat."""
+        with self._changed:
+            silent = self._fleet.silent(time.monotonic(), SILENT_S)
+        for incarnation in silent:
+            self._lose(incarnation, f"sent no heartbeat for {SILENT_S:.0f} s")
+
+    def excuse_absent(self) -> None:
+        """Leave the work of slots that nobody has held to others, once the time that they are waited for is over."""
+        wait_s = self._settings.slot_wait_s
+        if wait_s is None or time.monotonic() - self._opened_s < wait_s:
+            return
+        with self._changed:
+            excused = self._fleet.excuse()
+        if excused:
+            slots = ", ".join(map(str, excused))
+            self._on_event("info", "slots_excused", f"no actor after {wait_s:g} s in slot {slots}: others do its work")
+            self.announce()
+
+    def publish_metrics(self, data: bytes) -> None:
+        self._metrics.put(data)
+
+    def publish_status(self, status: Status) -> None:
+        """Tell it to those who subscribe, and keep it for those who ask."""
+        with self._changed:
+            self._census.told(status, time.monotonic())
+        self._status.put(encode_json(asdict(status)))
+
+    def report(self) -> RunReport:
+        """The run and all its actors at this moment."""
+        with self._changed:
+            now_s = time.monotonic()
+            report = self._census.report(self._fleet, self._fleet.waiting_for(now_s), now_s, time.time_ns())
+            evaluators, evaluation = self.evaluators.report()
+            return report.model_copy(update={"evaluators": evaluators, "evaluation": evaluation})
+
+    def turned_off(self, reason: str, text: str) -> None:
+        """Somebody was refused at the door, or may do nothing here."""
+        with self._changed:
+            first = self._census.turned_off(reason, text, time.monotonic())
+        if first:
+            self._on_event("warning", "connection_refused", f"{text}; `reskpn status` counts how often")
+
+    def waiting_for(self) -> str:
+        """Which slots' rollouts are missing, and why; empty where none is."""
+        with self._changed:
+            return self._fleet.waiting_for(time.monotonic())
+
+    def engines(self) -> set[str]:
+        """Physics engines of the actors that are here."""
+        with self._changed:
+            return {member.physics for _, member in self._fleet.members()}
+
+    def actors(self) -> int:
+        with self._changed:
+            return len(self._fleet.members())
+
+    def standing_by(self) -> bool:
+        """As `JoinDesk.standing_by`."""
+        return self._joins.standing_by()
+
+    def refusals(self) -> dict[str, int]:
+        """Messages that were not used, by reason."""
+        with self._changed:
+            return dict(self._census.refusals())
+
+    # -- handlers, on Zenoh's threads ----------------------------------------------------------------------
+
+    def _on_alive(self, key: str, alive: bool) -> None:
+        try:
+            role, incarnation = parse_alive(key)
+        except CodecError as error:
+            self._refused("alive", error)
+            return
+        if role == "actor" and not alive:
+            self._lose(incarnation, "is gone")
+        elif role == "evaluator":
+            with self._changed:
+                self.evaluators.seen(incarnation, alive)
+
+    def _lose(self, incarnation: str, why: str) -> None:
+        with self._changed:
+            slot, over = self._fleet.lose(incarnation), self._fleet.finished
+            if slot is not None:
+                self._census.left(slot.number, time.monotonic())
+            self._changed.notify_all()
+        if slot is not None and not over:
+            self._on_event("warning", "actor_lost", f"slot {slot.number}: {printable(incarnation)} {why}")
+            self.announce()
+
+    def _on_heartbeat(self, key: str, data: bytes) -> None:
+        try:
+            beat = Heartbeat.decode(data)
+            with self._changed:
+                check_heartbeat(self._fleet, self._keys, key, beat)
+                changed = self._fleet.heard(beat, time.monotonic())
+        except CodecError as error:
+            self._refused("heartbeat", error)
+            return
+        if changed:
+            self.announce()
+
+    def _on_evaluation(self, request: Request) -> None:
+        try:
+            evaluation = Evaluation.decode(request.payload)
+            with self._changed:
+                check_evaluation(self._fleet, self._keys, request.key, evaluation)
+                if self._evaluation is None:
+                    self._evaluation = evaluation
+                    self._changed.notify_all()
+        except CodecError as error:
+            self._refused("evaluation", error)
+            request.reply(PushReply("refused", f"{error.reason}: {error}").encode())
+            return
+        request.reply(ACCEPTED.encode())
+
+    def _serve_snapshot(self, request: Request) -> None:
+        with self._changed:
+            data = self._snapshot
+        request.reply(data)
+
+    def _refused(self, kind: str, error: CodecError) -> None:
+        with self._changed:
+            self._census.refused(kind, error.reason, str(error), time.monotonic())

@@ -1,0 +1,117 @@
+"""Who asks to work for the learner: actors get a slot, evaluators a place, others the reason why not."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from common.config.settings import RunSettings
+from common.errors import CodecError, RefusedError
+from common.printable import printable
+from common.wire.messages import FINISHED, Join, JoinReply
+from common.wire.session import Request
+from services.learner.endpoints.admission import check_join
+from services.learner.endpoints.evaluators import EvaluatorDesk
+from services.learner.endpoints.monitor import Census
+from services.learner.scheduling.fleet import Fleet
+
+ASK_AGAIN_S = 1.0
+"""An actor that was turned away has asked again by then."""
+
+
+def nothing_left(run: str) -> str:
+    """Why nobody is taken any more."""
+    return f"{FINISHED}: the run is over, nothing is left to do for run {run!r}"
+
+
+def another_run(run: str, wanted: str) -> str:
+    """Why somebody who wants to work for the run `wanted` is not taken."""
+    return f"this learner runs {run!r}, not {wanted!r}"
+
+
+class JoinDesk:
+    """Answers on `join`.
+
+    Args:
+        changed: the condition that guards `fleet`, `census` and `evaluators`; nothing here waits under it.
+        on_event: as the hub's.
+    """
+
+    def __init__(
+        self,
+        run: str,
+        settings: RunSettings,
+        fleet: Fleet,
+        census: Census,
+        evaluators: EvaluatorDesk,
+        changed: threading.Condition,
+        on_refused: Callable[[CodecError], None],
+        on_event: Callable[[str, str, str], None],
+    ) -> None:
+        self._run = run
+        self._settings = settings
+        self._fleet = fleet
+        self._census = census
+        self._evaluators = evaluators
+        self._changed = changed
+        self._on_refused = on_refused
+        self._on_event = on_event
+        self._turned_away_s = -ASK_AGAIN_S
+
+    def standing_by(self) -> bool:
+        """Whether actors wait for a slot: they ask again and again, and have yet to hear that the run is over."""
+        with self._changed:
+            return time.monotonic() - self._turned_away_s < ASK_AGAIN_S
+
+    def on_request(self, request: Request) -> None:
+        """A handler of the session: never waits."""
+        try:
+            join = Join.decode(request.payload)
+            check_join(join)
+            reply = self._join(join)
+        except CodecError as error:
+            self._on_refused(error)
+            reply = self._no("malformed", str(error), final=True)
+        except RefusedError as error:
+            with self._changed:
+                self._turned_away_s = time.monotonic()
+            reply = self._no("no_slot", str(error), final=False)
+        request.reply(reply.encode())
+
+    def _join(self, join: Join) -> JoinReply:
+        if join.run not in ("", self._run):
+            return self._no("run", another_run(self._run, join.run), final=True)
+        if join.role == "evaluator":
+            return self._join_evaluator(join)
+        physics = join.physics if self._settings.physics == "auto" else self._settings.physics
+        host = printable(join.hardware.get("host", "?"), 64)
+        with self._changed:
+            if self._fleet.finished:
+                return self._no("finished", nothing_left(self._run), final=True)
+            slot = self._fleet.join(join.incarnation, physics, time.monotonic())
+            generation, restore = slot.given - 1, slot.start is not None and slot.start.environment is not None
+            self._census.joined(slot.number, join.incarnation, host, time.monotonic())
+        self._on_event(
+            "info",
+            "actor_joined",
+            f"slot {slot.number} (generation {generation}): {physics} on {host}, "
+            f"incarnation {printable(join.incarnation)}",
+        )
+        settings = self._settings.model_dump_json()
+        return JoinReply(True, "", False, self._run, slot.number, generation, settings, restore)
+
+    def _join_evaluator(self, join: Join) -> JoinReply:
+        with self._changed:
+            if self._fleet.finished:
+                return self._no("finished", f"{FINISHED}: nothing is left to evaluate of {self._run!r}", final=True)
+            try:
+                self._evaluators.join(join.incarnation)
+            except RefusedError as error:
+                return self._no("no_place", str(error), final=False)
+        return JoinReply(True, "", False, self._run, 0, 0, self._settings.model_dump_json())
+
+    def _no(self, slug: str, reason: str, *, final: bool) -> JoinReply:
+        with self._changed:
+            self._census.turned_away(slug)
+        return JoinReply(False, reason, final, self._run, 0, 0, "")

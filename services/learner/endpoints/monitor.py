@@ -1,0 +1,166 @@
+"""What the learner can tell about its actors and their messages: who is there, and what became of what they sent.
+
+Nothing here knows of threads or clocks: the hub holds its lock around every call and says what time it is. Nothing
+grows with the number of messages: reasons and kinds are words of this program, slots are those of the run.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import asdict, dataclass, field
+
+from common.config.settings import RunSettings
+from common.printable import printable, shortened
+from common.wire.messages import PushReply
+from common.wire.report import LONGEST, ActorReport, Progress, RefusalReport, RunReport, Totals, VacancyReport
+from services.learner.reporting.display import Status
+from services.learner.scheduling.fleet import Fleet, Member
+
+KEPT_VERSIONS = 256
+"""Versions whose time of publication is kept."""
+
+
+@dataclass
+class Place:
+    """One slot: who is or was in it, and what became of the rollouts that were pushed for it since then."""
+
+    since_s: float
+    incarnation: str | None = None
+    host: str = ""
+    answers: Counter[str] = field(default_factory=Counter)
+
+
+@dataclass(frozen=True)
+class _Refusal:
+    kind: str
+    reason: str
+    text: str
+    at_s: float
+
+
+class Census:
+    """Kept by the hub beside the fleet, which decides; this remembers."""
+
+    def __init__(self, run: str, settings: RunSettings, now_s: float) -> None:
+        self._run = run
+        self._settings = settings
+        self._began_s = now_s
+        self._places = [Place(now_s) for _ in range(settings.actors)]
+        self._published: deque[tuple[int, float]] = deque(maxlen=KEPT_VERSIONS)
+        self._status: tuple[Status, float] | None = None
+        self._answers: Counter[str] = Counter()
+        self._refused: dict[str, Counter[str]] = {}
+        self._turned_away: Counter[str] = Counter()
+        self._last: _Refusal | None = None
+
+    # -- what happens --------------------------------------------------------------------------------------
+
+    def joined(self, slot: int, incarnation: str, host: str, now_s: float) -> None:
+        """An incarnation is in the slot; the counts of a new one begin."""
+        if self._places[slot].incarnation != incarnation:
+            self._places[slot] = Place(now_s, incarnation, printable(host, 64))
+
+    def left(self, slot: int, now_s: float) -> None:
+        self._places[slot] = Place(now_s)
+
+    def turned_away(self, reason: str) -> None:
+        """Somebody asked to join and got no slot."""
+        self._turned_away[reason] += 1
+
+    def published(self, version: int, now_s: float) -> None:
+        self._published.append((version, now_s))
+
+    def told(self, status: Status, now_s: float) -> None:
+        """What the learner's loop shows at this moment."""
+        self._status = (status, now_s)
+
+    def answered(self, key: str, reply: PushReply, now_s: float) -> None:
+        """A rollout pushed on `key` got this answer without being used: refused, busy, or accepted as a repeat."""
+        if reply.status == "refused":
+            reason, _, text = reply.reason.partition(": ")
+            self.refused("rollout", reason, text, now_s)
+        self._count(key.rpartition("/")[2], "repeated" if reply.status == "accepted" else reply.status)
+
+    def accepted(self, slot: int) -> None:
+        """A rollout is in the log and counts."""
+        self._count(str(slot), "accepted")
+
+    def refused(self, kind: str, reason: str, text: str, now_s: float) -> None:
+        """A message was not used; `kind` and `reason` are words of this program, never the sender's."""
+        self._refused.setdefault(kind, Counter())[reason] += 1
+        self._last = _Refusal(kind, reason, printable(text, 300), now_s)
+
+    def turned_off(self, reason: str, text: str, now_s: float) -> bool:
+        """A connection was refused; whether for the first time for this reason."""
+        self.refused("connection", reason, text, now_s)
+        return self._refused["connection"][reason] == 1
+
+    def _count(self, slot: str, what: str) -> None:
+        self._answers[what] += 1
+        if slot.isdecimal() and len(slot) < 10 and int(slot) < len(self._places):
+            self._places[int(slot)].answers[what] += 1
+
+    # -- what can be asked ---------------------------------------------------------------------------------
+
+    def refusals(self) -> Counter[str]:
+        """Messages that were not used, by reason."""
+        return sum(self._refused.values(), Counter())
+
+    def report(self, fleet: Fleet, waiting_for: str, now_s: float, t_ns: int) -> RunReport:
+        """The run at this moment."""
+        held = fleet.members()
+        free = sorted(set(range(len(self._places))) - {slot for slot, _ in held})
+        return RunReport(
+            run=self._run,
+            task=self._settings.task,
+            learner=self._settings.learner,
+            endpoint=self._settings.transport.endpoint,
+            t_ns=t_ns,
+            up_s=now_s - self._began_s,
+            progress=self._progress(now_s),
+            waiting_for=printable(waiting_for, LONGEST),
+            rollouts_there=fleet.taken,
+            slots=len(self._places),
+            actors=[self._actor(slot, member, now_s) for slot, member in held],
+            vacancies=[self._vacancy(slot, fleet, now_s) for slot in free],
+            totals=Totals(**self._answers, joined=fleet.counts.joined, lost=fleet.counts.lost),
+            refusals={kind: dict(counts) for kind, counts in self._refused.items()},
+            turned_away=dict(self._turned_away),
+            last_refusal=self._last_refusal(now_s),
+        )
+
+    def _progress(self, now_s: float) -> Progress | None:
+        if self._status is None:
+            return None
+        status, told_s = self._status
+        told = asdict(status) | {"text": printable(status.text, LONGEST), "told_s": now_s - told_s}
+        return Progress.model_validate(told)
+
+    def _actor(self, slot: int, member: Member, now_s: float) -> ActorReport:
+        published_s = dict(self._published).get(member.version)
+        heard_s = now_s - member.heard_s
+        counts = {what: self._places[slot].answers[what] for what in ("accepted", "refused", "busy", "repeated")}
+        return ActorReport(
+            slot=slot,
+            generation=member.generation,
+            incarnation=shortened(member.incarnation),
+            host=self._places[slot].host,
+            state=member.state,
+            state_s=member.state_s + heard_s,
+            physics=member.physics,
+            version=member.version,
+            snapshot_age_s=None if published_s is None else now_s - published_s,
+            env_steps=member.env_steps,
+            steps_per_s=member.steps_per_s,
+            heard_s=heard_s,
+            **counts,
+        )
+
+    def _vacancy(self, slot: int, fleet: Fleet, now_s: float) -> VacancyReport:
+        return VacancyReport(slot=slot, lost=fleet.was_held(slot), for_s=now_s - self._places[slot].since_s)
+
+    def _last_refusal(self, now_s: float) -> RefusalReport | None:
+        last = self._last
+        if last is None:
+            return None
+        return RefusalReport(kind=last.kind, reason=last.reason, text=last.text, ago_s=now_s - last.at_s)

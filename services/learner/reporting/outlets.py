@@ -1,0 +1,87 @@
+"""Where a learner writes to while it runs: the log, the screen and the curves."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from common.config.settings import RunSettings
+from common.errors import LogWriteError
+from common.log.writer import LogWriter
+from common.physics.assets import model_xml
+from common.runtime import hardware, software_versions, source_commit
+from services.learner.reporting.display import Display, make_display
+from services.learner.reporting.scalars import Scalars
+
+
+class Events:
+    """Things that happened to the run: into the log, and onto the screen."""
+
+    def __init__(self, log: LogWriter, display: Display) -> None:
+        self._log = log
+        self._display = display
+
+    def add(self, level: str, name: str, text: str) -> None:
+        self._display.note(f"{level}: {text}" if level != "info" else text)
+        try:
+            self._log.write("/event", {"level": level, "name": name, "text": text})
+        except LogWriteError:
+            return  # the log's own failure is what stops the run, and is reported by it
+
+
+@dataclass(frozen=True)
+class Outlets:
+    """Open until the run is over. `failures` has what ended the log, if anything did."""
+
+    log: LogWriter
+    display: Display
+    events: Events
+    scalars: Scalars
+    failures: list[LogWriteError]
+
+
+@contextmanager
+def open_outlets(run: str, settings: RunSettings, run_dir: Path, stop: threading.Event) -> Iterator[Outlets]:
+    """Open all of them; `stop` is set when the log fails. Raises LogWriteError as `LogWriter`."""
+    failures: list[LogWriteError] = []
+
+    def on_log_error(error: LogWriteError) -> None:
+        failures.append(error)
+        stop.set()
+
+    with ExitStack() as stack:
+        log = stack.enter_context(_open_log(run, settings, run_dir, on_log_error))
+        display = make_display(
+            f"ResKPN {run}: {settings.learner} on {settings.task}, {settings.updates} updates of "
+            f"{settings.batch_size:,} steps\nlistening on {settings.transport.endpoint}; files in {run_dir}"
+        )
+        stack.callback(display.close)
+        events = Events(log, display)
+        scalars = Scalars(run_dir / "tensorboard", lambda text: events.add("warning", "curves_ended", text))
+        stack.callback(scalars.close)
+        yield Outlets(log, display, events, scalars, failures)
+
+
+def _open_log(run: str, settings: RunSettings, run_dir: Path, on_error: Any) -> LogWriter:
+    versions = software_versions()
+    commit = source_commit()
+    log = LogWriter(
+        run_dir / "log",
+        segment_bytes=settings.log.segment_bytes,
+        compression=settings.log.compression,
+        metadata={
+            "run": {"run": run, "commit": commit},
+            "settings": {"json": settings.model_dump_json()},
+            "versions": versions,
+            "hardware": hardware(),
+        },
+        attachments={f"{settings.task}.xml": ("application/xml", model_xml(settings.task).encode())},
+        on_error=on_error,
+    )
+    spec = {"run": run, "commit": commit, "settings": settings.model_dump(mode="json"), "versions": versions}
+    log.write("/spec", spec)
+    return log

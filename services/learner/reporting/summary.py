@@ -1,0 +1,85 @@
+"""How a run ends: its figures in one file, its last evaluation in the log, and a few lines for a person."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from common.config.settings import RunSettings
+from common.errors import LogWriteError
+from common.log.writer import LogWriter
+from common.runs.directory import SUMMARY, write_json
+from common.wire.messages import Evaluation
+from services.learner.loop import Run
+from services.learner.reporting.evaluations import OF_THE_RUN, eval_record
+
+
+def conclude(run_dir: Path, log: LogWriter, summary: dict[str, Any], record: dict[str, Any] | None) -> None:
+    """Write what says that the run is over: the summary last. `record`: of the evaluation, unless the log has it.
+
+    Raises:
+        LogWriteError: the log or the summary cannot be written.
+    """
+    if record is not None:
+        log.write("/eval", record)
+    log.flush(timeout_s=60.0)
+    try:
+        write_json(run_dir / SUMMARY, summary)
+    except OSError as error:
+        raise LogWriteError(
+            f"cannot write {run_dir / SUMMARY}: {error.strerror}. Make room or fix its permissions and resume the run; "
+            "its log is whole"
+        ) from None
+
+
+def summarise(
+    settings: RunSettings, run_dir: Path, run: str, loop: Run, evaluation: Evaluation | None, wall_s: float
+) -> dict[str, Any]:
+    """The run in one JSON object; evaluation figures are null where none took place."""
+    returns = None if evaluation is None else evaluation.episode_return
+    return {
+        "run": run,
+        "task": settings.task,
+        "learner": settings.learner,
+        "physics": "+".join(sorted(loop.physics)) or settings.physics,
+        "seed": settings.seed,
+        "actors": settings.actors,
+        "total_steps": loop.env_steps,
+        "updates": loop.env_steps // settings.batch_size,
+        "wall_s": round(wall_s, 3),
+        "env_steps_per_s": loop.steps_per_s,
+        "train_return_mean": loop.returns.late,
+        "train_episodes": loop.returns.episodes,
+        "eval_return_mean": None if returns is None else float(returns.mean()),
+        "eval_return_std": None if returns is None else float(returns.std()),
+        "eval_episodes": 0 if returns is None else len(returns),
+        "state_digest": loop.digest,
+        "log": str(run_dir / "log"),
+    }
+
+
+def describe(summary: dict[str, Any], run_dir: Path) -> Iterator[str]:
+    """The summary for a person."""
+    state = "finished" if summary["complete"] else "stopped early; the log is whole up to here"
+    speed = summary["env_steps_per_s"]
+    yield f"{summary['run']}: {state}"
+    yield (
+        f"  {summary['total_steps']:,} steps in {summary['updates']} updates, {summary['wall_s']:.0f} s in all"
+        + (f", {speed:,.0f} steps/s while training" if speed else "")
+    )
+    if summary["train_return_mean"] is not None:
+        yield f"  training return over the last tenth: {summary['train_return_mean']:,.1f}"
+    if summary["eval_episodes"]:
+        yield (
+            f"  evaluation: {summary['eval_return_mean']:,.1f} ± {summary['eval_return_std']:,.1f} "
+            f"over {summary['eval_episodes']} episodes with the deterministic policy"
+        )
+    yield f"  state digest {summary['state_digest']}"
+    yield f"  log {summary['log']}, summary {run_dir / SUMMARY}, curves {run_dir / 'tensorboard'}"
+
+
+def final_record(evaluation: Evaluation, env_steps: int) -> dict[str, Any]:
+    """The run's own evaluation at its end, as `/eval` has it."""
+    returns, lengths = evaluation.episode_return, evaluation.episode_length
+    return eval_record(evaluation.version, env_steps, returns, lengths, source=OF_THE_RUN, behind=0)

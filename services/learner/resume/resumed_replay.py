@@ -1,0 +1,101 @@
+"""A resumed run until it is where its log ends: the logged updates are made once more, and compared.
+
+The actors act again, from the environments of the checkpoint, so that theirs are where the log ends, too. Where what
+they make is not what is logged, the rest of the log is gone through without them, and every slot begins with new
+environments: what its own would have been is lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from common.config.settings import RunSettings
+from common.wire.messages import Rollout, Snapshot
+from services.learner.endpoints.hub import Hub
+from services.learner.reporting.statistics import TrainingReturn
+from services.learner.resume.plan import Resumption
+
+
+class Again:
+    """What the loop asks of the log it goes on from; of a new run's, which is empty, nothing comes.
+
+    Args:
+        on_event: as the hub's.
+    """
+
+    def __init__(self, hub: Hub, resumption: Resumption, on_event: Callable[[str, str, str], None]) -> None:
+        self._hub = hub
+        self._resumption = resumption
+        self._tail = resumption.tail
+        self._on_event = on_event
+        self._acting = resumption.by_log is None
+        self._digests: dict[int, str] = {}
+        self._differed = False
+        if resumption.by_log is not None:
+            on_event("info", "resumed_by_log", f"the log's last updates are made without acting: {resumption.by_log}")
+
+    def returns(self, updates: int) -> TrainingReturn:
+        """The training returns of a run of so many updates, as far as the checkpoint goes."""
+        returns = TrainingReturn(updates)
+        for record in self._resumption.episodes:
+            returns.recall(record)
+        return returns
+
+    def covers(self, version: int) -> bool:
+        """Whether the log has the update of that version to the next."""
+        return version < self._tail.last
+
+    def holds(self, topic: str, version: int) -> bool:
+        """Whether the log has that record already."""
+        return self._tail.holds(topic, version)
+
+    def begin(self, snapshot: Snapshot, settings: RunSettings) -> bytes:
+        """Publish a version through the hub, and collect for it what the log leaves to be collected."""
+        version, last = snapshot.version, self._tail.last
+        logged = self._tail.rollouts(version)
+        if (update := self._tail.after(version)) is not None:
+            self._digests[update.version] = update.digest
+        collect = version < settings.updates and (self._acting or version >= last)
+        restored = self._acting and version == self._resumption.version
+        kept = settings.mode == "sync" and version > 0 and version % settings.log.checkpoint_every == 0
+        return self._hub.begin(
+            snapshot,
+            collect=collect,
+            hand_in=collect and kept and not restored,
+            logged=logged if self._acting else (),
+            settled=() if self._acting or version < last else logged,
+        )
+
+    def by_log(self, version: int) -> list[Rollout] | None:
+        """The rollouts to update that version by, where they are the log's and nobody acts; else None."""
+        return None if self._acting or not self.covers(version) else self._tail.rollouts(version)
+
+    def give_up_acting(self, version: int) -> bool:
+        """Whether acting again has just failed, and the log alone decides from now on up to its end."""
+        why = self._hub.departure()
+        if why is None:
+            return False
+        self._acting = False
+        self._on_event(
+            "warning",
+            "resumed_differs",
+            f"acting again does not give what is in the log: {why}. The updates up to {self._tail.last} are made from "
+            "the log, and every slot goes on with new environments: the run is whole, but not bit for bit the one "
+            "that was not interrupted",
+        )
+        collect = version >= self._tail.last
+        self._hub.start_over(self._resumption.afresh, self._tail.rollouts(version) if collect else (), collect=collect)
+        return True
+
+    def check(self, version: int, digest: str) -> None:
+        """Compare the state's digest with the one in the log; the first that differs is told."""
+        logged = self._digests.pop(version, digest)
+        if logged != digest and not self._differed:
+            self._differed = True
+            self._on_event(
+                "warning",
+                "resumed_state_differs",
+                f"update {version}, made again from the same rollouts, led to digest {digest} where the log has "
+                f"{logged}: another machine or other versions than those in its /spec; the run goes on from what was "
+                "made here",
+            )

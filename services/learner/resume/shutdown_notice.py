@@ -1,0 +1,73 @@
+"""The farewell of a run whose learner died between writing the summary and telling its actors that all is done."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from common.config.settings import TransportSettings
+from common.errors import CodecError
+from common.log.reader import LogReader
+from common.wire.door import make_door, refuse_open_doors
+from common.wire.keys import JOIN, Keys
+from common.wire.messages import Join, JoinReply, Orders
+from common.wire.session import Request
+from services.learner.endpoints.joins import another_run, nothing_left
+from services.learner.endpoints.listening import open_to_actors
+from services.learner.resume.plan import repair_log
+
+WAIT_S = 10.0
+"""For the connections of those that lost their learner to come back; they ask for another several times a second."""
+
+QUIET_S = 2.0
+LONGEST_S = 60.0
+PERIOD_S = 0.5
+
+
+def bid_farewell(
+    run_dir: Path,
+    transport: TransportSettings,
+    *,
+    stop: threading.Event,
+    say: Callable[[str], None],
+    wait_s: float = WAIT_S,
+) -> None:
+    """Tell whoever still works for the run in `run_dir`, or asks to, that it is over; then close its log.
+
+    That takes `wait_s`, and longer while somebody goes on asking, up to `LONGEST_S`.
+
+    Raises:
+        SessionError, SettingsError: as for a learner that begins.
+        LogReadError, LogWriteError: the log cannot be closed.
+    """
+    refuse_open_doors(transport)
+    run = LogReader(run_dir).metadata().get("run", {}).get("run", "")
+    began_s = asked_s = time.monotonic()
+
+    def answer(request: Request) -> None:
+        nonlocal asked_s
+        asked_s = time.monotonic()
+        request.reply(_answer(run, request.payload).encode())
+
+    say(f"{run}: its learner did not live to tell its actors that the run is over; telling them, for {wait_s:g} s")
+    with make_door(transport), open_to_actors(transport) as session:
+        session.serve(JOIN, answer)
+        orders = session.publisher(Keys(run).policy_notify)
+        while not stop.wait(PERIOD_S):
+            orders.put(Orders(run, 0, "", 0, {}, {}, True, time.time_ns()).encode())
+            now_s = time.monotonic()
+            if now_s > began_s + LONGEST_S or now_s > max(began_s + wait_s, asked_s + QUIET_S):
+                break
+    for note in repair_log(run_dir):
+        say(note)
+
+
+def _answer(run: str, payload: bytes) -> JoinReply:
+    try:
+        join = Join.decode(payload)
+    except CodecError as error:
+        return JoinReply(False, str(error), True, run, 0, 0, "")
+    reason = nothing_left(run) if join.run in ("", run) else another_run(run, join.run)
+    return JoinReply(False, reason, True, run, 0, 0, "")

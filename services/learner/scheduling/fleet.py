@@ -1,0 +1,301 @@
+"""Who works for the learner, what is asked of them, and which of their rollouts count.
+
+A slot is given to one incarnation (one life of an actor process) at a time. What an update is made of is the mode's
+business: `SyncBatch` or `AsyncQueue`.
+
+Nothing here knows of threads, clocks or Zenoh: the service holds a lock around every call and says what time it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
+
+from common.config.settings import RunSettings
+from common.errors import RefusedError
+from common.wire.messages import Heartbeat, Orders, PushReply, Rollout
+from services.learner.scheduling.async_queue import AsyncQueue
+from services.learner.scheduling.slots import ACCEPTED, Counts, Member, Slot, Start
+from services.learner.scheduling.sync_batch import SyncBatch
+from services.learner.scheduling.waiting import describe_missing
+
+Gathering = SyncBatch | AsyncQueue
+
+
+def gathering_of(settings: RunSettings) -> Callable[[Sequence[Slot]], Gathering]:
+    """Makes what collects rollouts in the run's mode."""
+    if settings.mode == "sync":
+        return SyncBatch
+    return partial(AsyncQueue, max_staleness=settings.staleness, updates=settings.updates)
+
+
+class Fleet:
+    """The slots of one run and the rollouts that the next updates are made of."""
+
+    def __init__(
+        self,
+        run: str,
+        slots: int,
+        starts: Sequence[Start] = (),
+        gather: Callable[[Sequence[Slot]], Gathering] = SyncBatch,
+    ) -> None:
+        """`starts` by slot, where a run is resumed; `gather` makes the batch of the run's mode from the slots."""
+        self._run = run
+        self._slots = [Slot(number) for number in range(slots)]
+        self._set_out(starts)
+        self._gathering = gather(self._slots)
+        self._version = 0
+        self._hand_in = False
+        self._gone: set[str] = set()
+        self._evaluator: int | None = None
+        self._episodes = 0
+        self._finished = False
+        self.counts = Counts()
+
+    # -- joining and leaving -------------------------------------------------------------------------------
+
+    def join(self, incarnation: str, physics: str, now_s: float) -> Slot:
+        """Give out the lowest free slot. RefusedError when none is free, or this incarnation has lost its slot."""
+        if incarnation in self._gone:
+            # Its rollouts would be taken for those of its first time in the slot.
+            raise RefusedError(f"{incarnation!r} was here before and has lost its slot; join under a new name")
+        for slot in self._slots:
+            if slot.member is not None and slot.member.incarnation == incarnation:
+                return slot
+        for slot in self._slots:
+            if slot.member is None:
+                start = slot.start or Start(slot.given)
+                slot.member = Member(incarnation, start.generation, physics, heard_s=now_s, next_seq=start.seq)
+                slot.given = start.generation + 1
+                self.counts.joined += 1
+                self._share_out()
+                return slot
+        raise RefusedError(
+            f"all {len(self._slots)} slots are taken; this actor stands by and takes over when one is freed"
+        )
+
+    def excuse(self) -> list[int]:
+        """Wait no longer for the slots that nobody has held yet: their work goes to those that are here.
+
+        Returns the slots that were waited for until now.
+        """
+        if not self._gathering.waits:
+            return []
+        excused = [slot for slot in self._slots if slot.awaited and slot.member is None]
+        for slot in excused:
+            slot.excused = True
+        if excused:
+            self._share_out()
+        return [slot.number for slot in excused]
+
+    def lose(self, incarnation: str) -> Slot | None:
+        """Free the slot of an actor that is gone; None where it held none. Its accepted rollouts stay good."""
+        for slot in self._slots:
+            if slot.member is not None and slot.member.incarnation == incarnation:
+                slot.member = None
+                self._gone.add(incarnation)
+                self.counts.lost += 1
+                self._gathering.lost(slot)
+                if self._evaluator == slot.number:
+                    self._evaluator = None
+                self._share_out()
+                return slot
+        return None
+
+    def heard(self, beat: Heartbeat, now_s: float) -> bool:
+        """Take in a heartbeat; whether orders change by it. One of an incarnation without a slot is ignored."""
+        member = self.holder(beat.slot, beat.incarnation)
+        if member is None:
+            return False
+        was_ready = member.ready
+        member.state, member.state_s, member.heard_s = beat.state, beat.state_s, now_s
+        member.version, member.env_steps, member.steps_per_s = beat.version, beat.env_steps, beat.steps_per_s
+        if member.ready == was_ready:
+            return False
+        self._share_out()
+        return True
+
+    def holder(self, slot: int, incarnation: str) -> Member | None:
+        """The member of that slot, where it is this incarnation."""
+        member = self._slots[slot].member if slot < len(self._slots) else None
+        return member if member is not None and member.incarnation == incarnation else None
+
+    def holds(self, slot: int, incarnation: str) -> bool:
+        """Whether this incarnation has that slot now."""
+        return self.holder(slot, incarnation) is not None
+
+    def silent(self, now_s: float, limit_s: float) -> list[str]:
+        """Incarnations not heard of for longer than the limit."""
+        return [
+            slot.member.incarnation
+            for slot in self._slots
+            if slot.member is not None and now_s - slot.member.heard_s > limit_s
+        ]
+
+    # -- the rollouts of a version -------------------------------------------------------------------------
+
+    def begin(
+        self,
+        version: int,
+        *,
+        collect: bool = True,
+        hand_in: bool = False,
+        logged: Collection[Rollout] = (),
+        settled: Collection[Rollout] = (),
+    ) -> list[Rollout]:
+        """Collect for this version from now on, or nothing any more (the last version of a run).
+
+        Args:
+            hand_in: ask for the environments' states as well.
+            logged: rollouts of this version that are in the log of a resumed run: made again they are compared with
+                it and not logged twice, and the batch takes those of the log.
+            settled: rollouts in the log that are not to be made again. In sync mode their slots have nothing to do.
+
+        Returns:
+            Accepted rollouts that are too old to be used any more.
+        """
+        self._version = version
+        self._hand_in = hand_in
+        overtaken = self._gathering.begin(version, collect=collect, logged=logged, settled=settled)
+        self._share_out()
+        return overtaken
+
+    def admit(self, rollout: Rollout) -> PushReply | None:
+        """Whether a rollout may be logged and used: None if so, else the answer for its sender.
+
+        A rollout that was admitted is under way until `accept` is called with it.
+        """
+        member = self.holder(rollout.slot, rollout.incarnation)
+        if rollout.run != self._run:
+            return self._refuse("run", f"this learner runs {self._run!r}, not {rollout.run!r}")
+        if member is None:
+            return self._refuse(
+                "incarnation", f"slot {rollout.slot} is not held by {rollout.incarnation!r}; join again"
+            )
+        if rollout.generation != member.generation:
+            return self._refuse(
+                "generation", f"{rollout.incarnation!r} has generation {member.generation}, not {rollout.generation}"
+            )
+        if rollout.key in self._gathering.under_way:
+            return PushReply("busy", "this rollout is being written to the log")
+        if rollout.seq < member.next_seq:
+            self.counts.repeated += 1
+            return ACCEPTED
+        if (objection := self._gathering.objection(rollout)) is not None:
+            return self._refuse(*objection)
+        if rollout.seq > member.next_seq:
+            return self._refuse("gap", f"rollout {rollout.seq} came where {member.next_seq} is next")
+        member.next_seq = rollout.seq + 1
+        self._slots[rollout.slot].start = None
+        return self._gathering.admit(rollout)
+
+    def accept(self, rollout: Rollout) -> None:
+        """The rollout is in the log: it counts."""
+        self._gathering.accept(rollout)
+
+    def take(self) -> list[Rollout] | None:
+        """The rollouts of the next update in (slot, generation, seq) order, once they are there; else None."""
+        return self._gathering.take()
+
+    # -- resuming ------------------------------------------------------------------------------------------
+
+    @property
+    def departure(self) -> str | None:
+        """Why what is made again is not what the log holds; None while it is the same."""
+        return self._gathering.departure
+
+    def start_over(self, starts: Sequence[Start], settled: Collection[Rollout], *, collect: bool) -> None:
+        """Free every slot, to go on at `starts`; the rest as `begin`. What was accepted stays good."""
+        for slot in self._slots:
+            if slot.member is not None:
+                self._gone.add(slot.member.incarnation)
+                slot.member = None
+        self._set_out(starts)
+        self._gathering.start_over(settled, collect=collect)
+        self._share_out()
+
+    def starts_from(self, slot: int) -> bytes | None:
+        """The environments that a slot goes on from, as `Environment`; None for new ones."""
+        start = self._slots[slot].start
+        return None if start is None else start.environment
+
+    def given(self) -> list[int]:
+        """How often each slot was given out."""
+        return [slot.given for slot in self._slots]
+
+    # -- orders --------------------------------------------------------------------------------------------
+
+    def evaluate(self, episodes: int) -> None:
+        """From now on ask for an evaluation instead of rollouts."""
+        self._episodes = episodes
+        self._share_out()
+
+    def finish(self) -> None:
+        """From now on tell everyone that the run is over."""
+        self._finished = True
+
+    def orders(self, *, digest: str, size: int, t_ns: int) -> Orders:
+        """What is wanted now. `collect` counts from the version's start and names every slot that is held."""
+        collect = {
+            slot.number: self._gathering.wanted(slot.number)
+            for slot in self._slots
+            if slot.member is not None and not self._finished
+        }
+        evaluator = {} if self._evaluator is None or self._finished else {self._evaluator: self._episodes}
+        return Orders(self._run, self._version, digest, size, collect, evaluator, self._finished, t_ns, self._hand_in)
+
+    def waiting_for(self, now_s: float) -> str:
+        """What holds the run up, for a person: "waiting for 1 of 2 rollouts: slot 1 compiling 12 s"; else empty."""
+        missing, brought = self._gathering.missing, self._gathering.brought
+        if not missing:
+            return ""
+        written = {number for number, _, _ in self._gathering.under_way.values()} - brought
+        who = describe_missing(self._slots, brought, written, now_s)
+        return f"waiting for {missing} of {len(self._slots)} rollouts: {who}"
+
+    def members(self) -> list[tuple[int, Member]]:
+        return [(slot.number, slot.member) for slot in self._slots if slot.member is not None]
+
+    def was_held(self, slot: int) -> bool:
+        """Whether the slot has ever been given out."""
+        return self._slots[slot].given > 0
+
+    @property
+    def taken(self) -> int:
+        """Rollouts for the next update that are in the log."""
+        return self._gathering.there
+
+    @property
+    def episodes(self) -> int:
+        """Episodes of the evaluation that is wanted; 0 while none is."""
+        return self._episodes
+
+    @property
+    def version(self) -> int:
+        return self._version
+
+    @property
+    def hand_in(self) -> bool:
+        """Whether the states of environments are wanted with this version."""
+        return self._hand_in and self.departure is None
+
+    @property
+    def finished(self) -> bool:
+        return self._finished
+
+    # -- inside --------------------------------------------------------------------------------------------
+
+    def _set_out(self, starts: Sequence[Start]) -> None:
+        for slot, start in zip(self._slots, starts, strict=False):
+            slot.given, slot.start = start.generation, start
+
+    def _refuse(self, reason: str, text: str) -> PushReply:
+        self.counts.refused[reason] += 1
+        return PushReply("refused", f"{reason}: {text}")
+
+    def _share_out(self) -> None:
+        """Settle anew who does what: after every change of who is here."""
+        if self._episodes and self._evaluator is None:
+            ready = [slot.number for slot in self._slots if slot.member is not None and slot.member.ready]
+            self._evaluator = ready[0] if ready else None
+        self._gathering.share_out()

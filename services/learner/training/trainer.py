@@ -1,0 +1,141 @@
+"""The learner without its service: rollouts in, the next state and its digest out.
+
+The same calls serve a live run, an in-process benchmark and a replay, so a log re-executes to the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from common.config.settings import RunSettings
+from common.errors import NumericsError
+from common.learners import LEARNERS
+from common.maths import trees
+from common.maths.diagnostics import MEASURED
+from common.maths.networks import make_networks
+from common.maths.rkhs.make import make_representation
+from common.maths.state import Batch, LearnerState, Mirror, initial_state
+from common.maths.update import Metrics, make_update
+from common.tasks import TASKS
+from common.wire.messages import Rollout, digest_arrays
+from services.learner.training.batches import assemble
+
+FINITE = "finite/"
+
+
+class Trainer:
+    """Holds the state of one run and applies updates to it."""
+
+    def __init__(self, settings: RunSettings) -> None:
+        task = TASKS[settings.task]
+        networks, parameters = make_networks(
+            task.observation_size,
+            task.action_size,
+            settings.algorithm.hidden,
+            settings.seed,
+            LEARNERS[settings.learner],
+        )
+        self._settings = settings
+        self._state = initial_state(
+            networks,
+            parameters,
+            settings.algorithm,
+            representation=make_representation(settings),
+            slots=settings.actors,
+            envs_per_slot=settings.envs_per_actor,
+            seed=settings.seed,
+        )
+        self._iteration = make_update(settings, networks)
+        self._update: Callable[[LearnerState, Batch], tuple[LearnerState, Metrics]] = jax.jit(self._iteration)
+        self._version = 0
+
+    @property
+    def version(self) -> int:
+        """Updates applied so far."""
+        return self._version
+
+    def compile(self) -> None:
+        """Compile the update for the run's shapes now, so that the first one does not wait for it."""
+        batch = jax.eval_shape(lambda: _empty_batch(self._settings))
+        self._update = jax.jit(self._iteration).lower(self._state, batch).compile()
+
+    def update(self, rollouts: Sequence[Rollout]) -> dict[str, float]:
+        """Apply one update; returns its metrics by name.
+
+        Raises:
+            NumericsError: a part of the new state is not finite. The state stays as it was.
+        """
+        state, metrics = self._update(self._state, assemble(rollouts))
+        values = {name: float(value) for name, value in jax.device_get(metrics).items()}
+        broken = [name.removeprefix(FINITE) for name, value in values.items() if name.startswith(FINITE) and not value]
+        if broken:
+            raise NumericsError(
+                f"update {self._version + 1} made the {' and the '.join(broken)} not finite; it was not applied. "
+                "The log holds the rollouts it was made from; a smaller algorithm.learning_rate or rkhs.eta may help"
+            )
+        self._adopt(state)
+        return _meant(values)
+
+    def digest(self) -> str:
+        """Hex digest of the whole state."""
+        return digest_arrays(self.state_arrays())
+
+    def state_arrays(self) -> dict[str, np.ndarray]:
+        """The whole state by path: what a checkpoint keeps."""
+        return trees.to_arrays(self._state)
+
+    def policy_arrays(self) -> dict[str, np.ndarray]:
+        """What acting needs, by path: what a snapshot carries."""
+        return trees.to_arrays(self._state.policy)
+
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Go on from the state of a checkpoint; CodecError where it does not fit the settings."""
+        self._adopt(jax.device_put(trees.from_arrays(self._state, arrays)))
+
+    def _adopt(self, state: LearnerState) -> None:
+        self._state = state
+        self._version = int(state.version)
+
+
+def _meant(values: dict[str, float]) -> dict[str, float]:
+    """The metrics that say something: without flags, and without the laboratory's where it did not measure."""
+    measured = bool(values.get(MEASURED, 0.0))
+    return {
+        name: value
+        for name, value in values.items()
+        if not name.startswith(FINITE) and name != MEASURED and (measured or not name.startswith("variance/"))
+    }
+
+
+def _empty_batch(settings: RunSettings) -> Batch:
+    """A batch of the run's shapes."""
+    task = TASKS[settings.task]
+    steps, envs = settings.num_steps, settings.num_envs
+    per_step = jnp.zeros((steps, envs), jnp.float32)
+    flag = jnp.zeros((steps, envs), jnp.bool_)
+    observation = jnp.zeros((envs, task.observation_size), jnp.float32)
+    branches = settings.branches
+    mirror = Mirror(
+        action=jnp.zeros((branches, task.action_size), jnp.float32),
+        reward=per_step[0, :branches],
+        terminated=flag[0, :branches],
+        truncated=flag[0, :branches],
+        next_observation=observation[:branches],
+    )
+    return Batch(
+        observation=jnp.zeros((steps, envs, task.observation_size), jnp.float32),
+        action=jnp.zeros((steps, envs, task.action_size), jnp.float32),
+        log_prob=per_step,
+        reward=per_step,
+        terminated=flag,
+        truncated=flag,
+        last_observation=observation,
+        cut_observation=observation,
+        slot=jnp.zeros((settings.actors,), jnp.int32),
+        fresh=jnp.zeros((settings.actors,), jnp.bool_),
+        mirror=mirror,
+    )

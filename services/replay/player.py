@@ -1,0 +1,94 @@
+"""A recorded run on the keys of a live one: what a subscriber would have seen, out of the log."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict
+
+from common.log.reader import LogMessage
+from common.log.records import encode_json
+from common.runs.recorded_run import RecordedRun, RecordedUpdate
+from common.wire.keys import Keys
+from common.wire.messages import Orders, Rollout, Snapshot
+from common.wire.session import Publisher, Session
+from services.learner.reporting.display import Status
+from services.learner.reporting.statistics import Episodes, TrainingReturn, step_reward
+
+
+class Player:
+    """Publishes messages of a log as the learner that wrote it did.
+
+    `/update` goes out on `metrics`, with the `status` after it; a `/policy` is served on `policy/latest` and announced
+    on `policy/notify`. Rollouts are put on `rollout/<slot>`, which in a live run are queries that only the learner
+    gets. Whatever else the log holds has no key. Nothing is dropped where a subscriber is slow.
+    """
+
+    def __init__(self, run: RecordedRun, session: Session) -> None:
+        self._run = run
+        self._keys = Keys(run.run)
+        self._session = session
+        self._snapshot = b""
+        self._returns = TrainingReturn(run.settings.updates)
+        self._began_ns: int | None = None
+        self._metrics = session.publisher(self._keys.metrics, patient=True)
+        self._status = session.publisher(self._keys.status, patient=True)
+        self._notify = session.publisher(self._keys.policy_notify, patient=True)
+        self._rollouts: dict[int, Publisher] = {}
+        session.declare_alive(self._keys.alive("learner", "replay"))
+
+    def play(self, message: LogMessage, content: RecordedUpdate | Rollout | None) -> None:
+        """Publish one message of the log; `content` as `RecordedRun.messages` has it."""
+        if isinstance(content, RecordedUpdate):
+            self._metrics.put(message.data)
+            self._show(content)
+        elif isinstance(content, Rollout):
+            self._began_ns = self._began_ns or message.t_ns
+            if content.slot not in self._rollouts:
+                self._rollouts[content.slot] = self._session.publisher(self._keys.rollout(content.slot), patient=True)
+            self._rollouts[content.slot].put(message.data)
+        elif message.topic == "/policy":
+            first, self._snapshot = not self._snapshot, message.data
+            if first:
+                self._session.serve(self._keys.policy_latest, lambda request: request.reply(self._snapshot))
+            self._announce(finished=False)
+
+    def finish(self) -> None:
+        """Say that the run is over, as a learner does at its end."""
+        if self._snapshot:
+            self._announce(finished=True)
+
+    def _show(self, update: RecordedUpdate) -> None:
+        settings = self._run.settings
+        self._returns.add(update.version, Episodes.of(update.rollouts))
+        trained_s = (update.t_ns - (self._began_ns or update.t_ns)) / 1e9
+        status = Status(
+            phase="training",
+            text="replayed from the log",
+            version=update.version,
+            updates=settings.updates,
+            env_steps=update.env_steps,
+            total_steps=settings.updates * settings.batch_size,
+            steps_per_s=update.env_steps / trained_s if trained_s else None,
+            train_return=self._returns.newest,
+            step_reward=step_reward(update.rollouts),
+            staleness=update.staleness.get("max", 0.0),
+            centres=round(update.metrics.get("rkhs/centres") or 0),
+            capacity=settings.capacity,
+            actors=len({rollout.slot for rollout in update.rollouts}),
+            slots=settings.actors,
+        )
+        self._status.put(encode_json(asdict(status)))
+
+    def _announce(self, *, finished: bool) -> None:
+        snapshot = Snapshot.decode(self._snapshot)
+        orders = Orders(
+            run=snapshot.run,
+            version=snapshot.version,
+            digest=snapshot.digest,
+            size=len(self._snapshot),
+            collect={},
+            evaluate={},
+            finished=finished,
+            t_ns=time.time_ns(),
+        )
+        self._notify.put(orders.encode())

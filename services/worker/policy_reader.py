@@ -1,0 +1,68 @@
+"""Snapshots as policies that act: shared by actors and evaluators."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import numpy as np
+from jax import Array
+
+from common.config.settings import RunSettings
+from common.learners import LEARNERS
+from common.maths import gaussians
+from common.maths.networks import make_networks
+from common.maths.policy import Policy, act
+from common.maths.rkhs.make import make_representation
+from common.maths.state import initial_state
+from common.maths.trees import from_arrays
+from common.tasks import TASKS
+
+
+class PolicyReader:
+    """Makes snapshots into policies, and acts by them."""
+
+    def __init__(self, settings: RunSettings) -> None:
+        task = TASKS[settings.task]
+        self.networks, parameters = make_networks(
+            task.observation_size,
+            task.action_size,
+            settings.algorithm.hidden,
+            settings.seed,
+            LEARNERS[settings.learner],
+        )
+        representation = make_representation(settings)
+        self._template = initial_state(
+            self.networks,
+            parameters,
+            settings.algorithm,
+            representation=representation,
+            slots=1,
+            envs_per_slot=1,
+            seed=settings.seed,
+        ).policy
+        self._act = partial(
+            act,
+            self.networks,
+            representation,
+            normalise=settings.algorithm.normalise_observations,
+        )
+
+    @property
+    def template(self) -> Policy:
+        """A policy of the run's shapes."""
+        return self._template
+
+    def read(self, arrays: dict[str, np.ndarray]) -> Policy:
+        """The policy of a snapshot; CodecError where it does not fit the run."""
+        return jax.device_put(from_arrays(self._template, arrays))
+
+    def sample(self, policy: Policy, observation: Array, key: Array) -> tuple[Array, Array, Array]:
+        """Actions [N, A], their log-probabilities [N], and their mirror images in the mean, 2 m - a [N, A]."""
+        mean = self._act(policy, observation)
+        action = gaussians.sample(key, mean.total, mean.log_std)
+        return action, gaussians.log_prob(mean.total, mean.log_std, action), 2.0 * mean.total - action
+
+    def mode(self, policy: Policy, observation: Array) -> Array:
+        """The deterministic actions [N, A]."""
+        return self._act(policy, observation).total

@@ -1,0 +1,360 @@
+"""`reskpn train`: processes started, started again and stopped together, with harmless ones in their places."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from common.config.settings import RunSettings
+from common.config.sources import load
+from common.errors import ProcessError, SettingsError
+from common.wire.endpoint import Endpoint
+from reskpn.supervision import crew as train_module
+from reskpn.supervision.crew import QUICK_DEATHS, Crew, resolved, train
+
+DEADLINE_S = 20.0
+
+STAYS = "cat"
+"""A process that lives until it is asked to stop, which is when its standard input ends."""
+
+
+@pytest.fixture
+def until() -> Callable[[Callable[[], object]], None]:
+    """Waits until a condition that other processes bring about holds; fails after a deadline."""
+    pause = threading.Event()
+
+    def wait(condition: Callable[[], object]) -> None:
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline, "what was waited for did not happen in time"
+            pause.wait(0.005)
+
+    return wait
+
+
+@pytest.fixture
+def stand_in(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Puts shell scripts in the places of `reskpn learner` and `reskpn actor`; $2 is the first option's value."""
+
+    def put(**scripts: str) -> None:
+        monkeypatch.setattr(train_module, "_reskpn", lambda command: ["/bin/sh", "-c", scripts[command], command])
+
+    return put
+
+
+@pytest.fixture
+def crews(tmp_path: Path) -> Iterator[Callable[..., Crew]]:
+    """Makes the crew of a run; ended after the test."""
+    made: list[Crew] = []
+
+    def make(actors: int = 1) -> Crew:
+        made.append(Crew(resolved(RunSettings(actors=actors, run_dir=tmp_path))))
+        return made[-1]
+
+    yield make
+    for crew in made:
+        crew.end()
+
+
+def processes(crew: Crew) -> list[subprocess.Popen[bytes]]:
+    return [post.process for post in crew.posts if post.process is not None]
+
+
+# -- settings ----------------------------------------------------------------------------------------------
+
+
+def test_the_run_directory_is_absolute(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Its processes may be in other folders; by default it is named by the run."""
+    monkeypatch.chdir(tmp_path)
+    assert resolved(RunSettings(run_dir=Path("a/b"))).run_dir == tmp_path / "a" / "b"
+    by_default = resolved(RunSettings(task="reacher", seed=3)).run_dir
+    assert by_default is not None
+    assert by_default.parent == tmp_path / "runs"
+    assert by_default.name.startswith("reacher-reskpn-s3-")
+
+
+def test_a_port_is_chosen_where_none_was_asked_for() -> None:
+    """So that two runs on one machine do not meet; other settings of the transport count all the same."""
+    asked = RunSettings.model_validate({"transport": {"lease_s": 7.0}})
+    endpoint = Endpoint.parse(resolved(asked).transport.endpoint)
+    assert endpoint.is_loopback
+    assert endpoint.port != Endpoint.parse(asked.transport.endpoint).port
+    assert resolved(asked).transport.lease_s == 7.0
+
+
+def test_an_endpoint_that_was_asked_for_is_kept() -> None:
+    """Also one that is the default, said aloud."""
+    for endpoint in ("tcp/127.0.0.1:7447", "tcp/127.0.0.1:4000"):
+        asked = RunSettings.model_validate({"transport": {"endpoint": endpoint}})
+        assert resolved(asked).transport.endpoint == endpoint
+
+
+def test_certificates_are_of_one_process(tmp_path: Path) -> None:
+    """`train` starts several, which cannot all be the learner."""
+    settings = load(environment={"RESKPN_TRANSPORT__CERTIFICATES": str(tmp_path)})
+    with pytest.raises(SettingsError, match=r"use `reskpn learner` and `reskpn actor`, each with its own"):
+        train(settings)
+
+
+def test_everything_else_stays(tmp_path: Path) -> None:
+    """Nothing but the directory and the endpoint is changed."""
+    asked = RunSettings.model_validate({"seed": 5, "algorithm": {"gamma": 0.5}, "run_dir": tmp_path})
+    assert resolved(asked).model_dump(exclude={"transport"}) == asked.model_dump(exclude={"transport"})
+
+
+# -- the actors --------------------------------------------------------------------------------------------
+
+
+def test_all_actors_are_started_at_once(stand_in: Callable[..., None], crews: Callable[..., Crew]) -> None:
+    """Beside the learner, for which they wait by themselves."""
+    stand_in(actor=STAYS)
+    crew = crews(4)
+    assert processes(crew) == []
+    crew.keep_up()
+    assert len({process.pid for process in processes(crew)}) == 4
+
+
+def test_actors_that_live_are_left_alone(stand_in: Callable[..., None], crews: Callable[..., Crew]) -> None:
+    """However often they are looked after."""
+    stand_in(actor=STAYS)
+    crew = crews(2)
+    crew.keep_up()
+    first = processes(crew)
+    crew.keep_up()
+    assert processes(crew) == first
+    assert [process.poll() for process in first] == [None, None]
+
+
+def test_an_actor_that_has_left_is_not_missed(
+    stand_in: Callable[..., None], crews: Callable[..., Crew], until: Callable[..., None]
+) -> None:
+    """Exit code 0 means that the run is over."""
+    stand_in(actor="exit 0")
+    crew = crews()
+    crew.keep_up()
+    (process,) = processes(crew)
+    assert process.wait(DEADLINE_S) == 0
+    crew.keep_up()
+    assert processes(crew) == [process]
+
+
+@pytest.mark.parametrize(("script", "how"), [("kill -9 $$", "signal 9"), ("exit 3", "exit code 3")])
+def test_an_actor_that_died_is_started_again(
+    stand_in: Callable[..., None],
+    crews: Callable[..., Crew],
+    capsys: pytest.CaptureFixture[str],
+    script: str,
+    how: str,
+) -> None:
+    """The user is told of it; the others go on."""
+    stand_in(actor=STAYS)
+    crew = crews(2)
+    crew.keep_up()
+    well, ill = processes(crew)
+    ill.kill()
+    ill.wait(DEADLINE_S)
+    stand_in(actor=script)
+    crew.keep_up()
+    assert "actor 1 ended with signal 9; starting it again\n" in capsys.readouterr().err
+    assert processes(crew)[0] is well
+    again = processes(crew)[1]
+    assert again is not ill
+    again.wait(DEADLINE_S)
+    stand_in(actor=STAYS)
+    crew.keep_up()
+    assert f"actor 1 ended with {how}; starting it again\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("code", [2, 4, 6])
+def test_an_actor_that_will_never_work_ends_the_run(
+    stand_in: Callable[..., None], crews: Callable[..., Crew], code: int
+) -> None:
+    """A setting, a refusal or an engine that is missing is the same the next time: its last words are the reason."""
+    stand_in(actor=f"for i in 1 2 3 4 5 6; do echo word $i; done; echo reason >&2; exit {code}")
+    crew = crews()
+    crew.keep_up()
+    processes(crew)[0].wait(DEADLINE_S)
+    with pytest.raises(ProcessError) as ended:
+        crew.keep_up()
+    words = crew._run_dir / "processes" / "actor-0.txt"
+    assert str(ended.value) == (
+        f"actor 0 ended with exit code {code} and will not recover; its last words ({words}):\n"
+        "  word 3\n  word 4\n  word 5\n  word 6\n  reason"
+    )
+    assert words.read_text().splitlines()[0] == "word 1"
+
+
+def die(crew: Crew) -> None:
+    """Have the one actor started, and wait for its end."""
+    crew.keep_up()
+    processes(crew)[0].wait(DEADLINE_S)
+
+
+def test_an_actor_that_dies_again_and_again_ends_the_run(
+    stand_in: Callable[..., None], crews: Callable[..., Crew]
+) -> None:
+    """Three quick deaths on end are enough."""
+    stand_in(actor="echo no; exit 9")
+    crew = crews()
+    for _ in range(QUICK_DEATHS):
+        die(crew)
+    with pytest.raises(ProcessError, match=r"actor 0 ended with exit code 9 and will not recover"):
+        crew.keep_up()
+
+
+def test_deaths_far_apart_do_not_add_up(
+    stand_in: Callable[..., None], crews: Callable[..., Crew], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run of days may lose an actor now and then; one that worked for long begins its count anew."""
+    stand_in(actor="exit 9")
+    crew = crews()
+    die(crew)
+    die(crew)  # one quick death behind it, the second to be found
+    monkeypatch.setattr(train_module, "QUICK_S", 0.0)
+    for _ in range(2 * QUICK_DEATHS):
+        die(crew)
+    monkeypatch.setattr(train_module, "QUICK_S", 1000.0)
+    # The last of the slow ones was not found yet: it is quick by the new measure, and two more may be.
+    for _ in range(QUICK_DEATHS - 1):
+        die(crew)
+    with pytest.raises(ProcessError):
+        crew.keep_up()
+
+
+def test_at_the_end_all_are_asked_to_stop(stand_in: Callable[..., None], crews: Callable[..., Crew]) -> None:
+    """And have stopped when it is over."""
+    stand_in(actor=f"{STAYS}; exit 5")
+    crew = crews(4)
+    crew.keep_up()
+    crew.end()
+    assert [process.returncode for process in processes(crew)] == [5, 5, 5, 5]
+    crew.end()
+
+
+def test_who_does_not_stop_is_killed(
+    stand_in: Callable[..., None],
+    crews: Callable[..., Crew],
+    monkeypatch: pytest.MonkeyPatch,
+    until: Callable[..., None],
+) -> None:
+    """After a time of grace."""
+    monkeypatch.setattr(train_module, "GRACE_S", 0.1)
+    stand_in(actor="exec sleep 60")
+    crew = crews(2)
+    crew.keep_up()
+    crew.end()
+    assert [process.returncode for process in processes(crew)] == [-signal.SIGKILL] * 2
+
+
+def test_actors_are_told_where_and_not_what(
+    stand_in: Callable[..., None], crews: Callable[..., Crew], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The learner has the settings, already merged: its variables must not count a second time. The cache's does."""
+    monkeypatch.setenv("RESKPN_SEED", "3")
+    monkeypatch.setenv("RESKPN_CACHE_DIR", "/somewhere")
+    stand_in(actor='echo "$@"; env')
+    crew = crews(2)
+    crew.keep_up()
+    for process in processes(crew):
+        process.wait(DEADLINE_S)
+    cores = max(1, len(os.sched_getaffinity(0)) // 2)
+    for number in (0, 1):
+        words, *environment = (crew._run_dir / "processes" / f"actor-{number}.txt").read_text().splitlines()
+        assert words == f"--endpoint {crew.settings.transport.endpoint} --threads {cores}"
+        variables = dict(line.split("=", 1) for line in environment if "=" in line)
+        assert "RESKPN_SEED" not in variables
+        assert variables["RESKPN_CACHE_DIR"] == "/somewhere"
+
+
+# -- the whole ---------------------------------------------------------------------------------------------
+
+
+def learner_that(tmp_path: Path, then: str) -> str:
+    """A learner that keeps the settings it was given as the run's, and then does something."""
+    return f'cp "$2" {tmp_path}/given.json; cp "$2" {tmp_path}/settings.json; {then}'
+
+
+@pytest.mark.parametrize(("then", "code"), [("exit 0", 0), ("exit 2", 2), ("kill -9 $$", 128 + 9)])
+def test_the_learners_end_is_the_runs_end(
+    stand_in: Callable[..., None], tmp_path: Path, capsys: pytest.CaptureFixture[str], then: str, code: int
+) -> None:
+    """Its exit code is the run's; a signal is told as a shell does, with how to go on. Actors are stopped with it."""
+    mark = tmp_path / "actor-was-there"
+    stand_in(
+        learner=learner_that(tmp_path, f"while ! test -e {mark}; do sleep 0.01; done; {then}"),
+        actor=f"touch {mark}; cat; touch {tmp_path}/actor-has-left",
+    )
+    asked = RunSettings.model_validate({"run_dir": tmp_path, "actors": 1, "seed": 4})
+    assert train(asked) == code
+    hint = f"the learner was ended by signal 9; go on with: reskpn train --resume {tmp_path}"
+    assert (hint in capsys.readouterr().err) is (code == 128 + 9)
+    assert (tmp_path / "actor-has-left").exists()
+    # The learner was given all settings, with the run's directory and the endpoint that was chosen.
+    given = load(config=str(tmp_path / "given.json"), environment={})
+    assert given.model_dump(exclude={"transport"}) == asked.model_dump(exclude={"transport"})
+    assert given.transport.endpoint != asked.transport.endpoint
+
+
+def test_ctrl_c_stops_the_learner_first(
+    stand_in: Callable[..., None], tmp_path: Path, until: Callable[..., None]
+) -> None:
+    """It is asked to, and its exit code is the run's; actors are not started again meanwhile."""
+    stand_in(
+        learner=learner_that(tmp_path, f"cat; test -e {tmp_path}/actor-has-left && exit 1; exit 130"),
+        actor=f"touch {tmp_path}/actor-is-there; cat; touch {tmp_path}/actor-has-left",
+    )
+
+    def interrupt() -> None:
+        until((tmp_path / "actor-is-there").exists)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    interrupter = threading.Thread(target=interrupt)
+    interrupter.start()
+    assert train(RunSettings(run_dir=tmp_path, actors=1)) == 130
+    interrupter.join(DEADLINE_S)
+    assert (tmp_path / "actor-has-left").exists()
+
+
+def test_an_actor_that_cannot_be_kept_alive_stops_the_learner(stand_in: Callable[..., None], tmp_path: Path) -> None:
+    """In order: it is asked to, so that its log is whole."""
+    stand_in(
+        learner=learner_that(tmp_path, f"cat; touch {tmp_path}/learner-has-left; exit 130"),
+        actor="echo no engine; exit 6",
+    )
+    with pytest.raises(ProcessError, match=r"actor 0 ended with exit code 6 and will not recover(.|\n)*no engine"):
+        train(RunSettings(run_dir=tmp_path, actors=1))
+    assert (tmp_path / "learner-has-left").exists()
+
+
+def test_a_directory_that_holds_a_run_is_found_before_anything_starts(
+    stand_in: Callable[..., None], tmp_path: Path
+) -> None:
+    """The older run is not touched."""
+    (tmp_path / "summary.json").write_text("older")
+    stand_in(learner=f"touch {tmp_path}/started", actor=f"touch {tmp_path}/started")
+    with pytest.raises(SettingsError, match=r"already holds a run \(summary\.json\)"):
+        train(RunSettings(run_dir=tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
+
+
+def test_processes_are_out_of_reach_of_the_terminal(stand_in: Callable[..., None], crews: Callable[..., Crew]) -> None:
+    """Ctrl-C reaches `train` alone, which stops them in order: each is the leader of a session of its own."""
+    stand_in(actor=STAYS)
+    crew = crews()
+    crew.keep_up()
+    (process,) = processes(crew)
+    assert os.getsid(process.pid) == process.pid
+
+
+def test_the_commands_are_this_packages() -> None:
+    """By the Python that runs now, and told that they are supervised."""
+    command: Any = train_module._reskpn("learner")
+    assert command[1:] == ["-m", "reskpn", "learner", "--supervised"]

@@ -1,0 +1,171 @@
+"""A resumed run up to the end of its log: compared with it, or given up for it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from queue import Queue
+from typing import Any
+
+import pytest
+from samples import rollout, settings, snapshot
+
+from common.wire.messages import Rollout
+from services.learner.resume.plan import Resumption
+from services.learner.resume.resumed_replay import Again
+from services.learner.resume.tail import LoggedUpdate, Tail
+from services.learner.scheduling.slots import Start
+
+SETTINGS = settings(log={"checkpoint_every": 2})
+AFRESH = (Start(1), Start(1))
+
+
+class HubStandIn:
+    """Keeps what it was asked for; `failed` is why acting again has failed."""
+
+    def __init__(self) -> None:
+        self.begun: list[dict[str, Any]] = []
+        self.started_over: list[tuple[Any, Any, bool]] = []
+        self.failed: str | None = None
+
+    def begin(self, snapshot: Any, **wanted: Any) -> bytes:
+        self.begun.append(wanted)
+        return b""
+
+    def departure(self) -> str | None:
+        return self.failed
+
+    def start_over(self, starts: Any, settled: Any, *, collect: bool) -> None:
+        self.started_over.append((starts, settled, collect))
+        self.failed = None
+
+
+def pair(version: int) -> list[Rollout]:
+    return [rollout(slot, "ab"[slot], version, version) for slot in (0, 1)]
+
+
+def updates() -> Iterator[LoggedUpdate]:
+    return (LoggedUpdate(version, f"d{version}", pair(version - 1)) for version in (5, 6))
+
+
+@pytest.fixture
+def resumption() -> Resumption:
+    """From version 4; the log has updates 5 and 6, and one rollout of version 6."""
+    return Resumption("r", 4, {}, (Start(0, 4), Start(0, 4)), AFRESH, Tail(6, updates(), pair(6)[:1]))
+
+
+class Sides:
+    def __init__(self, resumption: Resumption) -> None:
+        self.hub = HubStandIn()
+        self.events: Queue[tuple[str, str, str]] = Queue()
+        hub: Any = self.hub
+        self.again = Again(hub, resumption, lambda *event: self.events.put(event))
+
+    def begin(self, version: int) -> dict[str, Any]:
+        self.again.begin(snapshot(version), SETTINGS)
+        return self.hub.begun[-1]
+
+
+def places(rollouts: list[Rollout]) -> list[tuple[int, int, int]]:
+    return [one.place for one in rollouts]
+
+
+def test_the_actors_act_again(resumption: Resumption) -> None:
+    """Up to the end of the log they are compared with it; environments are asked for where none are kept."""
+    sides = Sides(resumption)
+    begun = [sides.begin(version) for version in (4, 5, 6, 7, 8)]
+    assert [places(one["logged"]) for one in begun] == [
+        [(0, 0, 4), (1, 0, 4)],
+        [(0, 0, 5), (1, 0, 5)],
+        [(0, 0, 6)],
+        [],
+        [],
+    ]
+    assert [one["hand_in"] for one in begun] == [False, False, True, False, True]
+    assert all(one["collect"] and one["settled"] == () for one in begun)
+    assert [sides.again.covers(version) for version in (4, 5, 6)] == [True, True, False]
+    assert sides.again.by_log(4) is None
+    assert not sides.again.give_up_acting(4)
+    assert sides.events.empty()
+
+
+def test_rollouts_of_the_version_after_the_last(resumption: Resumption) -> None:
+    """They are compared with what is made again, and settled where nobody acts again."""
+    ahead = [*pair(6), pair(7)[1]]
+    sides = Sides(dataclasses.replace(resumption, tail=Tail(6, updates(), ahead)))
+    begun = [sides.begin(version) for version in (4, 5, 6, 7, 8)]
+    assert [places(one["logged"]) for one in begun[2:]] == [[(0, 0, 6), (1, 0, 6)], [(1, 0, 7)], []]
+    by_log = Sides(dataclasses.replace(resumption, tail=Tail(6, updates(), ahead), by_log="an actor was lost"))
+    begun = [by_log.begin(version) for version in (4, 5, 6, 7)]
+    assert [places(one["settled"]) for one in begun[2:]] == [[(0, 0, 6), (1, 0, 6)], [(1, 0, 7)]]
+    assert by_log.begin(8)["settled"] == []
+
+
+def test_the_last_version_collects_nothing(resumption: Resumption) -> None:
+    """As in any run."""
+    sides = Sides(resumption)
+    assert sides.begin(10)["collect"] is False
+    assert sides.hub.begun[-1]["hand_in"] is False
+
+
+def test_without_acting_the_log_decides(resumption: Resumption) -> None:
+    """Nobody collects before its end; there, the rollouts that no update has used are settled."""
+    sides = Sides(dataclasses.replace(resumption, by_log="an actor was lost"))
+    assert sides.events.get_nowait()[1] == "resumed_by_log"
+    assert sides.begin(4)["collect"] is False
+    found = sides.again.by_log(4)
+    assert found is not None
+    assert places(found) == [(0, 0, 4), (1, 0, 4)]
+    sides.begin(5)
+    begun = sides.begin(6)
+    assert (begun["collect"], begun["logged"], places(begun["settled"])) == (True, (), [(0, 0, 6)])
+    assert sides.again.by_log(6) is None
+
+
+def test_acting_again_that_fails_is_given_up(resumption: Resumption) -> None:
+    """Said once, with what differed; every slot begins anew, and the rest of the log decides."""
+    sides = Sides(resumption)
+    sides.begin(4)
+    sides.hub.failed = "reward differs"
+    assert sides.again.give_up_acting(4)
+    level, name, text = sides.events.get_nowait()
+    assert (level, name) == ("warning", "resumed_differs")
+    assert "acting again does not give what is in the log: reward differs. The updates up to 6 are made from" in text
+    assert sides.hub.started_over == [(AFRESH, (), False)]
+    found = sides.again.by_log(4)
+    assert found is not None
+    assert places(found) == [(0, 0, 4), (1, 0, 4)]
+
+
+def test_acting_again_that_fails_at_the_end(resumption: Resumption) -> None:
+    """What is logged of the last version counts, and the rest of it is collected."""
+    sides = Sides(resumption)
+    for version in (4, 5, 6):
+        sides.begin(version)
+    sides.hub.failed = "slot 0 lost its actor"
+    assert sides.again.give_up_acting(6)
+    ((starts, settled, collect),) = sides.hub.started_over
+    assert (starts, places(settled), collect) == (AFRESH, [(0, 0, 6)], True)
+    assert sides.again.by_log(6) is None
+
+
+def test_digests_are_compared(resumption: Resumption) -> None:
+    """The first that differs is told, with both; those that the log does not have cannot differ."""
+    sides = Sides(resumption)
+    for version in (4, 5, 6):
+        sides.begin(version)
+    sides.again.check(5, "d5")
+    assert sides.events.empty()
+    sides.again.check(6, "other")
+    sides.again.check(7, "d7")
+    level, name, text = sides.events.get_nowait()
+    assert (level, name) == ("warning", "resumed_state_differs")
+    assert "update 6, made again from the same rollouts, led to digest other where the log has d6" in text
+    assert sides.events.empty()
+
+
+def test_returns_go_on(resumption: Resumption) -> None:
+    """Episodes before the checkpoint count, each with the mean of its update: of 20 updates the last two are late."""
+    episodes = [{"version": 1, "count": 3, "return_mean": 2.0}, {"version": 19, "count": 2, "return_mean": 5.0}]
+    returns = Sides(dataclasses.replace(resumption, episodes=episodes)).again.returns(20)
+    assert (returns.episodes, returns.late, returns.newest) == (5, 5.0, 3.2)
