@@ -120,7 +120,7 @@ def single_steps(native: BatchedEnvironment, mjx: BatchedEnvironment, actions: j
 
 def difference(one: Transition, other: Transition) -> np.ndarray:
     """[N], the largest over the numbers of an observation."""
-    return np.asarray(jnp.abs(one.final_obs - other.final_obs).max(axis=1))
+    return np.asarray(jnp.abs(one.next_obs - other.next_obs).max(axis=1))
 
 
 def agreement_table(options: argparse.Namespace) -> Iterator[str]:

@@ -128,7 +128,7 @@ def _random_batch(settings: RunSettings) -> Batch:
         terminated=flag,
         truncated=flag,
         last_observation=normal(envs, task.observation_size),
-        cut_observation=jnp.zeros((envs, task.observation_size), jnp.float32),
+        truncated_obs=jnp.zeros((envs, task.observation_size), jnp.float32),
         slot=jnp.zeros(1, jnp.int32),
         fresh=jnp.zeros(1, jnp.bool_),
         mirror=Mirror(

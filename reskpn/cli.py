@@ -19,7 +19,7 @@ from common.tasks import TASKS
 from common.wire.credentials import Credentials
 from reskpn.commands.certs import EPILOG, add_certs_options, certs
 from reskpn.commands.connection import add_connection, over
-from reskpn.commands.resuming import AUTO, close_log, run_to_resume, see_off, settings_to_resume
+from reskpn.commands.resuming import AUTO, close_log, notify_pending_actors, run_to_resume, settings_to_resume
 
 EXIT_CODES = """\
 exit codes: 0 done, 1 a replay diverged from its log, 2 a setting is not possible, 3 no connection, 4 refused,
@@ -87,7 +87,7 @@ def _command(
 
 def _add_train(commands: Any) -> None:
     def call(given: argparse.Namespace) -> int:
-        from reskpn.supervision.crew import train
+        from reskpn.supervision.supervisor import train
 
         if given.resume is None:
             return train(load(options, given, config=given.config))
@@ -115,7 +115,7 @@ def _add_learner(commands: Any) -> None:
         settings = fresh if resume is None else settings_to_resume(Path(resume), over)
         with stopping(supervised=given.supervised) as stop:
             if settings is None:
-                return see_off(Path(resume), over, stop)
+                return notify_pending_actors(Path(resume), over, stop)
             return run_learner(settings, stop=stop, resume=resume is not None)
 
     parser = _command(commands, "learner", "serve one training run; actors connect to it", call, _epilog())

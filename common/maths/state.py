@@ -64,7 +64,7 @@ class Mirror:
 class Batch:
     """The K rollouts of an update side by side: E = K * N environments, rollouts in the order of `slot`.
 
-    cut_observation: where a truncation happened, the observation the episode was cut at; zero elsewhere.
+    truncated_obs: where a truncation happened, the observation the episode was cut at; zero elsewhere.
     fresh: whether a rollout is the first one of new environments.
     """
 
@@ -75,7 +75,7 @@ class Batch:
     terminated: Bool[Array, "T E"]
     truncated: Bool[Array, "T E"]
     last_observation: Float[Array, "E O"]
-    cut_observation: Float[Array, "E O"]
+    truncated_obs: Float[Array, "E O"]
     slot: Int[Array, "K"]
     fresh: Bool[Array, "K"]
     mirror: Mirror

@@ -38,7 +38,7 @@ class Seen:
 
     observation: Any
     last: Any
-    cut: Any
+    truncated_obs: Any
     mirrored: Any
 
 
@@ -118,7 +118,7 @@ class Update:
 
         What an actor did not act on is seen by the moments at the rollout's end.
         """
-        seen = Seen(batch.observation, batch.last_observation, batch.cut_observation, batch.mirror.next_observation)
+        seen = Seen(batch.observation, batch.last_observation, batch.truncated_obs, batch.mirror.next_observation)
         if not self.algorithm.normalise_observations:
             return seen
         rollouts = batch.slot.shape[0]
@@ -126,7 +126,7 @@ class Update:
         def one_rollout(x: Seen) -> Seen:
             steps = jnp.concatenate([x.observation, x.last[None]])
             moments, steps = running.merge_and_standardise(state.observations, steps)
-            others = (running.standardise(moments, y) for y in (x.cut, x.mirrored))
+            others = (running.standardise(moments, y) for y in (x.truncated_obs, x.mirrored))
             return Seen(steps[:-1], steps[-1], *others)
 
         axes = Seen(1, 0, 0, 0)
@@ -142,7 +142,7 @@ class Update:
         cut_value = jnp.zeros_like(value[:1])
         if self.algorithm.bootstrap_at_truncation:
             # An environment is truncated at most once a rollout: settings keep T within an episode.
-            cut_value = self._value(state, seen.cut)[None]
+            cut_value = self._value(state, seen.truncated_obs)[None]
         advantage = returns.generalised_advantage(
             reward,
             value,

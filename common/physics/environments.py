@@ -59,8 +59,8 @@ class Transition:
     terminated: jax.Array
     """[N] bool, the task ended the episode, or its simulation diverged: what follows is worth 0."""
     truncated: jax.Array
-    """[N] bool, the episode reached its length without being terminated: bootstrap from `final_obs`."""
-    final_obs: jax.Array
+    """[N] bool, the episode reached its length without being terminated: bootstrap from `next_obs`."""
+    next_obs: jax.Array
     """[N, O] float32, after the step and before going back to the first state."""
     episode_return: jax.Array
     """[N] float32, of the episode that ended at this step; 0 where none did."""
@@ -119,17 +119,17 @@ class BatchedEnvironment:
         bodies, obs, reward, ended = jax.vmap(self._step_task)(state.bodies, action)
         diverged = ~jax.vmap(_is_sound)(bodies, obs, reward)
         reward = jnp.where(diverged, 0.0, reward)
-        final_obs = jnp.where(diverged[:, None], state.obs, obs)
+        next_obs = jnp.where(diverged[:, None], state.obs, obs)
         steps, episode_return = state.steps + 1, state.episode_return + reward
         terminated = ended | diverged
         truncated = (steps >= self._episode_length) & ~terminated
         over = terminated | truncated
         transition = Transition(
-            obs=_select(over, state.first_obs, final_obs),
+            obs=_select(over, state.first_obs, next_obs),
             reward=reward,
             terminated=terminated,
             truncated=truncated,
-            final_obs=final_obs,
+            next_obs=next_obs,
             episode_return=jnp.where(over, episode_return, 0.0),
             episode_length=jnp.where(over, steps, 0),
         )

@@ -109,14 +109,14 @@ def publish_run(path: Path, transport: TransportSettings, rate: float | None, de
         SettingsError: other machines reach the endpoint, it asks nobody who he is, and `insecure` was not said.
     """
     from common.wire.credentials import Credentials
-    from common.wire.door import refuse_open_doors
+    from common.wire.listener import require_authentication
     from reskpn.supervision.stopping import stopping
     from services.replay.service import run_player
 
     run = open_run(path)
     total = updates_to_read(run, None)
     endpoint, credentials = transport.endpoint, Credentials.of(transport)
-    refuse_open_doors(transport, as_options=True)
+    require_authentication(transport, as_options=True)
     pace = "as fast as possible" if rate is None else f"at {rate:g} times its pace"
     print(f"{run.run}: playing {total} updates {pace}; listening on {endpoint}", flush=True)
     with stopping(supervised=False) as stop, progress_bar() as bar:

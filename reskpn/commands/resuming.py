@@ -40,17 +40,17 @@ def close_log(run_dir: Path) -> int:
     return 0
 
 
-def see_off(run_dir: Path, load: Callable[[RunSettings], RunSettings], stop: threading.Event) -> int:
+def notify_pending_actors(run_dir: Path, load: Callable[[RunSettings], RunSettings], stop: threading.Event) -> int:
     """Of a finished run: tell its actors so, where its learner was killed before it could. Returns 0.
 
-    Raises as `bid_farewell`, and SettingsError as `resumed_settings`.
+    Raises as `send_shutdown_notice`, and SettingsError as `resumed_settings`.
     """
-    from services.learner.resume.shutdown_notice import bid_farewell
+    from services.learner.resume.shutdown_notice import send_shutdown_notice
 
     found = read_interrupted(run_dir)
     if found.untold:
         transport = resumed_settings(found, load).transport
-        bid_farewell(run_dir, transport, stop=stop, say=lambda text: print(text, flush=True))
+        send_shutdown_notice(run_dir, transport, stop=stop, say=lambda text: print(text, flush=True))
     return 0
 
 

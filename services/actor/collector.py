@@ -70,7 +70,7 @@ class Collected:
 
     trajectory: Trajectory
     last_obs: Array
-    cut_obs: Array
+    truncated_obs: Array
     mirror: Trajectory
 
 
@@ -145,10 +145,10 @@ class Collector:
             keys, mirrored = jnp.concatenate([keys, keys[-1:]]), jnp.arange(steps + 1) == steps
         step = partial(self._one_step, policy)
         start = (state, state, policy.observations, jnp.zeros_like(state.obs))
-        (state, _, _, cut_obs), trajectory = jax.lax.scan(step, start, (keys, mirrored))
+        (state, _, _, truncated_obs), trajectory = jax.lax.scan(step, start, (keys, mirrored))
         mirror = jax.tree.map(lambda x: x[-1] if self._settings.branches else x[0, :0], trajectory)
         trajectory = jax.tree.map(lambda x: x[:steps], replace(trajectory, next_obs=trajectory.next_obs[:0]))
-        return state, Collected(trajectory, state.obs, cut_obs, mirror)
+        return state, Collected(trajectory, state.obs, truncated_obs, mirror)
 
     def _one_step(
         self, policy: Policy, carry: tuple[EnvState, EnvState, Moments, Array], at_t: tuple[Array, Array]
@@ -157,7 +157,7 @@ class Collector:
 
         The policy sees observations through moments that have taken them in.
         """
-        (newest, before, moments, cut_obs), (key, mirrored) = carry, at_t
+        (newest, before, moments, truncated_obs), (key, mirrored) = carry, at_t
         branching = bool(self._settings.branches)
         start = _choose(mirrored, before, newest) if branching else newest
         seen = running.merge(moments, start.obs)
@@ -166,7 +166,7 @@ class Collector:
         action = jnp.where(mirrored, mirror_image, action) if branching else action
         after, transition = self._environment.step(start, action)
         cut = transition.truncated & ~mirrored
-        cut_obs = jnp.where(cut[:, None], transition.final_obs, cut_obs)
+        truncated_obs = jnp.where(cut[:, None], transition.next_obs, truncated_obs)
         made = Trajectory(
             obs=start.obs,
             action=action,
@@ -174,12 +174,12 @@ class Collector:
             reward=transition.reward,
             terminated=transition.terminated,
             truncated=transition.truncated,
-            next_obs=transition.final_obs,
+            next_obs=transition.next_obs,
             episode_return=transition.episode_return,
             episode_length=transition.episode_length,
         )
         after = _choose(mirrored, newest, after) if branching else after
-        return (after, start, moments, cut_obs), made
+        return (after, start, moments, truncated_obs), made
 
 
 def _choose(condition: Array, then: Tree, otherwise: Tree) -> Tree:
@@ -200,7 +200,7 @@ def _host_arrays(collected: Collected) -> dict[str, np.ndarray]:
         "terminated": trajectory.terminated,
         "truncated": trajectory.truncated,
         "last_obs": host.last_obs,
-        "truncated_obs": host.cut_obs[cut_envs],
+        "truncated_obs": host.truncated_obs[cut_envs],
         "episode_return": trajectory.episode_return[over],
         "episode_length": trajectory.episode_length[over],
         "mirror_action": mirror.action,

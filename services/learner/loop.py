@@ -21,7 +21,7 @@ from services.learner.reporting.evaluations import scalars as evaluation_scalars
 from services.learner.reporting.public import public_update
 from services.learner.reporting.scalars import Scalars
 from services.learner.reporting.statistics import Episodes, actor_seconds, step_reward
-from services.learner.resume.resumed_replay import Again
+from services.learner.resume.resumed_replay import ResumedReplay
 from services.learner.training.checkpoints import Checkpoints, KeptEnvironments
 from services.learner.training.snapshots import make_snapshot
 from services.learner.training.trainer import Trainer
@@ -69,7 +69,7 @@ class Run:
         scalars: Scalars,
         stop: threading.Event,
         checkpoints: Checkpoints,
-        again: Again,
+        resumed_replay: ResumedReplay,
     ) -> None:
         self._run = run
         self._settings = settings
@@ -80,8 +80,8 @@ class Run:
         self._scalars = scalars
         self._stop = stop
         self._checkpoints = checkpoints
-        self._again = again
-        self.returns = again.returns(settings.updates)
+        self._resumed_replay = resumed_replay
+        self.returns = resumed_replay.returns(settings.updates)
         self.physics: set[str] = set()
         self.digest = trainer.digest()
         self.trained_s = 0.0
@@ -147,7 +147,7 @@ class Run:
             if rollouts is None:
                 return
             got_s = time.monotonic()
-            logged = self._again.covers(self._trainer.version)
+            logged = self._resumed_replay.covers(self._trainer.version)
             if self._began_s is None and not logged:
                 self._began_s = got_s - max(sum(rollout.timing.values()) for rollout in rollouts)
                 self._began_version = self._trainer.version
@@ -160,7 +160,7 @@ class Run:
             version = self._trainer.version
             # The actors are at work again; what follows costs the run nothing.
             self.digest = self._trainer.digest()
-            self._again.check(version, self.digest)
+            self._resumed_replay.check(version, self.digest)
             self._keep(version, snapshot, environments)
             seconds = {
                 "wait": got_s - asked_s,
@@ -175,7 +175,7 @@ class Run:
         """Policy, checkpoint, and the environments of the version before, which its checkpoint goes on from."""
         log = self._settings.log
         last = version == self._settings.updates
-        if (version % log.policy_every == 0 or last) and not self._again.holds("/policy", version):
+        if (version % log.policy_every == 0 or last) and not self._resumed_replay.holds("/policy", version):
             self._log.write("/policy", snapshot)
         if environments is not None:
             # Whoever finds them finds the update to their version in the log.
@@ -203,9 +203,9 @@ class Run:
         """The rollouts of this version; None when the run is asked to stop."""
         version = self._trainer.version
         while not self._stop.is_set():
-            if (rollouts := self._again.by_log(version) or self._hub.rollouts(TICK_S)) is not None:
+            if (rollouts := self._resumed_replay.by_log(version) or self._hub.rollouts(TICK_S)) is not None:
                 return rollouts
-            if self._again.give_up_acting(version):
+            if self._resumed_replay.give_up_acting(version):
                 continue
             self._tick("training" if self._trainer.version else "starting", self._hub.waiting_for())
         return None
@@ -218,7 +218,7 @@ class Run:
 
     def _publish(self) -> bytes:
         snapshot = make_snapshot(self._run, self._trainer.version, self._trainer.policy_arrays())
-        return self._again.begin(snapshot, self._settings)
+        return self._resumed_replay.begin(snapshot, self._settings)
 
     # -- what is made of an update -------------------------------------------------------------------------
 
@@ -235,7 +235,7 @@ class Run:
 
     def _write(self, step: Step, episodes: Episodes) -> None:
         record = episodes.record(step.version)
-        if record is not None and not self._again.holds("/episode", step.version):
+        if record is not None and not self._resumed_replay.holds("/episode", step.version):
             self._log.write("/episode", record)
         update = {
             "version": step.version,

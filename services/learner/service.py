@@ -14,16 +14,16 @@ from common.errors import ReskpnError
 from common.memory import keep_large_blocks
 from common.runs.directory import SETTINGS, SUMMARY, prepare_run_dir, write_json
 from common.runtime import prepare_jax
-from common.wire.door import make_door, refuse_open_doors
+from common.wire.listener import make_listener_monitor, require_authentication
 from common.wire.session import Session
 from services.learner.endpoints.hub import Hub
-from services.learner.endpoints.listening import open_to_actors
+from services.learner.endpoints.listening import open_listener
 from services.learner.loop import Run
 from services.learner.reporting.evaluations import scalars as evaluation_scalars
 from services.learner.reporting.outlets import Outlets, open_outlets
 from services.learner.reporting.summary import conclude, describe, final_record, summarise
 from services.learner.resume.plan import Resumption, resume_run
-from services.learner.resume.resumed_replay import Again
+from services.learner.resume.resumed_replay import ResumedReplay
 from services.learner.training.checkpoints import Checkpoints
 from services.learner.training.trainer import Trainer
 
@@ -40,12 +40,12 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
         ReskpnError: anything that keeps the run from going on. The log is closed and whole then.
     """
     began_s = time.monotonic()
-    refuse_open_doors(settings.transport)
+    require_authentication(settings.transport)
     prepare_jax()
     keep_large_blocks()
     with ExitStack() as stack:
-        door = stack.enter_context(make_door(settings.transport))
-        session = stack.enter_context(open_to_actors(settings.transport))
+        door = stack.enter_context(make_listener_monitor(settings.transport))
+        session = stack.enter_context(open_listener(settings.transport))
         # Only now: an address that is in use leaves no directory behind that looks like a run.
         run_dir, resumption = _begin(settings, resume=resume)
         outlets = stack.enter_context(open_outlets(resumption.run, settings, run_dir, stop))
@@ -53,7 +53,7 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
             outlets.events.add("info", "resumed", note)
         hub = _make_hub(settings, session, outlets, resumption)
         door.watch(session, hub.turned_off)
-        again = Again(hub, resumption, outlets.events.add)
+        again = ResumedReplay(hub, resumption, outlets.events.add)
         loop = _make_loop(settings, run_dir, hub, outlets, again, resumption, stop)
         summary = _run_to_its_end(settings, run_dir, loop, outlets, again, resumption.run, began_s)
         if outlets.failures:
@@ -81,7 +81,7 @@ def _make_loop(
     run_dir: Path,
     hub: Hub,
     outlets: Outlets,
-    again: Again,
+    again: ResumedReplay,
     resumption: Resumption,
     stop: threading.Event,
 ) -> Run:
@@ -95,7 +95,7 @@ def _make_loop(
 
 
 def _run_to_its_end(
-    settings: RunSettings, run_dir: Path, loop: Run, outlets: Outlets, again: Again, run: str, began_s: float
+    settings: RunSettings, run_dir: Path, loop: Run, outlets: Outlets, again: ResumedReplay, run: str, began_s: float
 ) -> dict[str, Any]:
     """Train, evaluate, conclude and send the actors home; the summary, which is kept unless the log has failed."""
     try:

@@ -10,7 +10,7 @@ from common.config.settings import TransportSettings
 from common.errors import SettingsError
 from common.wire.access import LEARNER, Names, router_access_control
 from common.wire.credentials import Credentials, read_users
-from common.wire.door import make_door, refuse_open_doors
+from common.wire.listener import make_listener_monitor, require_authentication
 from common.wire.session import open_session
 
 REPEATED = 100
@@ -30,7 +30,7 @@ def run_router(transport: TransportSettings, *, stop: threading.Event, say: Call
         SessionError: an address that cannot be listened on.
     """
     here = transport.model_copy(update={"router": False})  # who uses one is told so; this is it
-    refuse_open_doors(here, as_options=True)
+    require_authentication(here, as_options=True)
     credentials = Credentials.of(here)
     access = {}
     if credentials.authenticate(here.endpoint):
@@ -52,7 +52,7 @@ def run_router(transport: TransportSettings, *, stop: threading.Event, say: Call
             say(f"refused ({count:,} times so far): {text}")
 
     with (
-        make_door(here) as door,
+        make_listener_monitor(here) as door,
         open_session(
             listen=[here.endpoint],
             max_message_size=here.max_message_bytes,

@@ -24,7 +24,7 @@ IN_AN_UPDATE = {
     "in the log, and its actor has not heard so": "die after common.log.segment_writer:SegmentWriter.commit 25",
     "the batch is in the log, not used": "die before services.learner.training.trainer:Trainer.update 7",
     "updated, nothing said or written": "die after services.learner.training.trainer:Trainer.update 7",
-    "in publishing a snapshot": "die before services.learner.endpoints.monitor:Census.published 8",
+    "in publishing a snapshot": "die before services.learner.endpoints.monitor:RunMonitor.published 8",
     "the snapshot is out, its update is not in the log": "die before services.learner.loop:Run._keep 7",
 }
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-import reskpn.supervision.crew
+import reskpn.supervision.supervisor
 import services.actor.service
 import services.learner.service
 from common.config.settings import RunSettings, Section
@@ -51,7 +51,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[RunSettings]:
         calls.append(settings)
         return 0
 
-    monkeypatch.setattr(reskpn.supervision.crew, "train", train)
+    monkeypatch.setattr(reskpn.supervision.supervisor, "train", train)
     return calls
 
 
@@ -232,7 +232,7 @@ def test_every_error_has_its_exit_code(
     def train(settings: RunSettings) -> int:
         raise error("what happened and what to do")
 
-    monkeypatch.setattr(reskpn.supervision.crew, "train", train)
+    monkeypatch.setattr(reskpn.supervision.supervisor, "train", train)
     assert said("train") == (code, "what happened and what to do")
 
 
@@ -242,7 +242,7 @@ def test_a_mistake_of_the_program_is_not_hidden(monkeypatch: pytest.MonkeyPatch)
     def train(settings: RunSettings) -> int:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(reskpn.supervision.crew, "train", train)
+    monkeypatch.setattr(reskpn.supervision.supervisor, "train", train)
     with pytest.raises(ZeroDivisionError):
         main(["train"])
 

@@ -18,13 +18,13 @@ from common.errors import SessionError
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from common.wire.credentials import NOBODY, Credentials
-from common.wire.door import make_door
 from common.wire.keys import JOIN, STATUS, Keys
+from common.wire.listener import make_listener_monitor
 from common.wire.messages import JoinReply, PushReply, Rollout
 from common.wire.report import RunReport
 from common.wire.session import open_session
 from services.learner.endpoints.hub import Hub
-from services.learner.endpoints.listening import open_to_actors
+from services.learner.endpoints.listening import open_listener
 
 DEADLINE_S = 15.0
 REFUSED_S = 0.6
@@ -54,8 +54,8 @@ class GuardedLearner:
 
     def __enter__(self) -> Self:
         transport = self.transport.model_copy(update={"max_message_bytes": MAX_MESSAGE})
-        door = self._stack.enter_context(make_door(transport))
-        self.session = self._stack.enter_context(open_to_actors(transport))
+        door = self._stack.enter_context(make_listener_monitor(transport))
+        self.session = self._stack.enter_context(open_listener(transport))
         log = LogWriter(self.directory)
         self._stack.callback(log.close)
         # Nothing is answered any more when the log is closed.

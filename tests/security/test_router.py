@@ -23,7 +23,7 @@ from common.wire.endpoint import free_port
 from common.wire.keys import JOIN
 from common.wire.messages import Orders
 from scripts.document_router import FILE, content
-from services.learner.endpoints.listening import open_to_actors
+from services.learner.endpoints.listening import open_listener
 from services.router.service import run_router
 
 
@@ -157,7 +157,7 @@ def test_at_a_router_the_learner_is_a_user(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="has no learner: nobody could serve the others"):
         run_router(here, stop=threading.Event(), say=print)
     with pytest.raises(SettingsError, match="begins with 'actor'; give it a file that begins with learner:password"):
-        open_to_actors(here.model_copy(update={"router": True}))
+        open_listener(here.model_copy(update={"router": True}))
 
 
 def test_a_run_with_passwords_through_a_router(

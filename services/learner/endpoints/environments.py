@@ -19,7 +19,7 @@ LOG_FAILED = PushReply("busy", "the log cannot be written any more: the run stop
 """To whom pushes while that is happening; the learner's loop is what reports it."""
 
 
-class EnvironmentDesk:
+class EnvironmentHandler:
     """Answers on `environment/<slot>`: a state that comes is logged and kept; who asks is given the slot's.
 
     Args:

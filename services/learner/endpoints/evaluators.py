@@ -43,7 +43,7 @@ class _Newest:
     at_s: float
 
 
-class EvaluatorDesk:
+class EvaluatorHandler:
     """Answers on `assessment/<id>`. Each evaluator's figures for a version are logged once, however often they come.
 
     Args:

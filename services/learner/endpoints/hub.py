@@ -27,11 +27,11 @@ from common.wire.messages import (
 from common.wire.report import RunReport
 from common.wire.session import Request, Session
 from services.learner.endpoints.admission import check_evaluation, check_heartbeat
-from services.learner.endpoints.environments import EnvironmentDesk
-from services.learner.endpoints.evaluators import EvaluatorDesk
-from services.learner.endpoints.joins import JoinDesk
-from services.learner.endpoints.monitor import Census
-from services.learner.endpoints.rollouts import RolloutDesk
+from services.learner.endpoints.environments import EnvironmentHandler
+from services.learner.endpoints.evaluators import EvaluatorHandler
+from services.learner.endpoints.joins import JoinHandler
+from services.learner.endpoints.monitor import RunMonitor
+from services.learner.endpoints.rollouts import RolloutHandler
 from services.learner.reporting.display import Status
 from services.learner.scheduling.fleet import Fleet, gathering_of
 from services.learner.scheduling.slots import ACCEPTED, Start
@@ -68,26 +68,26 @@ class Hub:
         self._snapshot = b""
         self._digest = ""
         self._evaluation: Evaluation | None = None
-        self._census = Census(run, settings, time.monotonic())
+        self._monitor = RunMonitor(run, settings, time.monotonic())
         self._opened_s = time.monotonic()
         # to here.
-        self.environments = EnvironmentDesk(
+        self.environments = EnvironmentHandler(
             run, settings, log, self._fleet, self._changed, partial(self._refused, "environment"), logged_environments
         )
-        self.evaluators = EvaluatorDesk(
+        self.evaluators = EvaluatorHandler(
             run, settings, log, self._fleet, self._changed, partial(self._refused, "assessment"), time.monotonic
         )
-        self._joins = JoinDesk(
+        self._joins = JoinHandler(
             run,
             settings,
             self._fleet,
-            self._census,
+            self._monitor,
             self.evaluators,
             self._changed,
             partial(self._refused, "join"),
             on_event,
         )
-        self._rollouts = RolloutDesk(run, settings, log, self._fleet, self._census, self._changed)
+        self._rollouts = RolloutHandler(run, settings, log, self._fleet, self._monitor, self._changed)
         self._orders = session.publisher(self._keys.policy_notify, express=True, high_priority=True)
         self._metrics = session.publisher(self._keys.metrics)
         self._status = session.publisher(self._keys.status)
@@ -127,22 +127,22 @@ class Hub:
             )
             for rollout in overtaken:
                 text = f"made with policy {rollout.policy_version}, overtaken by those of version {snapshot.version}"
-                self._census.refused("rollout", "overtaken", text, time.monotonic())
+                self._monitor.refused("rollout", "overtaken", text, time.monotonic())
             self.environments.forget()
-            self._census.published(snapshot.version, time.monotonic())
+            self._monitor.published(snapshot.version, time.monotonic())
         self.announce()
         return data
 
     def rollouts(self, timeout_s: float) -> list[Rollout] | None:
         """The rollouts of the version in their order, or None when they are not complete within the time."""
         with self._changed:
-            self._changed.wait_for(lambda: self._fleet.take() or self._fleet.departure, timeout_s)
-            return None if self._fleet.departure else self._fleet.take()
+            self._changed.wait_for(lambda: self._fleet.take() or self._fleet.divergence, timeout_s)
+            return None if self._fleet.divergence else self._fleet.take()
 
-    def departure(self) -> str | None:
-        """As `Fleet.departure`."""
+    def divergence(self) -> str | None:
+        """As `Fleet.divergence`."""
         with self._changed:
-            return self._fleet.departure
+            return self._fleet.divergence
 
     def start_over(self, starts: Sequence[Start], settled: Collection[Rollout], *, collect: bool) -> None:
         """As `Fleet.start_over`: the actors find out by the orders, which do not name them, and join again."""
@@ -199,21 +199,21 @@ class Hub:
     def publish_status(self, status: Status) -> None:
         """Tell it to those who subscribe, and keep it for those who ask."""
         with self._changed:
-            self._census.told(status, time.monotonic())
+            self._monitor.told(status, time.monotonic())
         self._status.put(encode_json(asdict(status)))
 
     def report(self) -> RunReport:
         """The run and all its actors at this moment."""
         with self._changed:
             now_s = time.monotonic()
-            report = self._census.report(self._fleet, self._fleet.waiting_for(now_s), now_s, time.time_ns())
+            report = self._monitor.report(self._fleet, self._fleet.waiting_for(now_s), now_s, time.time_ns())
             evaluators, evaluation = self.evaluators.report()
             return report.model_copy(update={"evaluators": evaluators, "evaluation": evaluation})
 
     def turned_off(self, reason: str, text: str) -> None:
         """Somebody was refused at the door, or may do nothing here."""
         with self._changed:
-            first = self._census.turned_off(reason, text, time.monotonic())
+            first = self._monitor.turned_off(reason, text, time.monotonic())
         if first:
             self._on_event("warning", "connection_refused", f"{text}; `reskpn status` counts how often")
 
@@ -232,13 +232,13 @@ class Hub:
             return len(self._fleet.members())
 
     def standing_by(self) -> bool:
-        """As `JoinDesk.standing_by`."""
+        """As `JoinHandler.standing_by`."""
         return self._joins.standing_by()
 
     def refusals(self) -> dict[str, int]:
         """Messages that were not used, by reason."""
         with self._changed:
-            return dict(self._census.refusals())
+            return dict(self._monitor.refusals())
 
     # -- handlers, on Zenoh's threads ----------------------------------------------------------------------
 
@@ -258,7 +258,7 @@ class Hub:
         with self._changed:
             slot, over = self._fleet.lose(incarnation), self._fleet.finished
             if slot is not None:
-                self._census.left(slot.number, time.monotonic())
+                self._monitor.left(slot.number, time.monotonic())
             self._changed.notify_all()
         if slot is not None and not over:
             self._on_event("warning", "actor_lost", f"slot {slot.number}: {printable(incarnation)} {why}")
@@ -297,4 +297,4 @@ class Hub:
 
     def _refused(self, kind: str, error: CodecError) -> None:
         with self._changed:
-            self._census.refused(kind, error.reason, str(error), time.monotonic())
+            self._monitor.refused(kind, error.reason, str(error), time.monotonic())

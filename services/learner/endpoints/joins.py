@@ -12,8 +12,8 @@ from common.printable import printable
 from common.wire.messages import FINISHED, Join, JoinReply
 from common.wire.session import Request
 from services.learner.endpoints.admission import check_join
-from services.learner.endpoints.evaluators import EvaluatorDesk
-from services.learner.endpoints.monitor import Census
+from services.learner.endpoints.evaluators import EvaluatorHandler
+from services.learner.endpoints.monitor import RunMonitor
 from services.learner.scheduling.fleet import Fleet
 
 ASK_AGAIN_S = 1.0
@@ -30,7 +30,7 @@ def another_run(run: str, wanted: str) -> str:
     return f"this learner runs {run!r}, not {wanted!r}"
 
 
-class JoinDesk:
+class JoinHandler:
     """Answers on `join`.
 
     Args:
@@ -43,8 +43,8 @@ class JoinDesk:
         run: str,
         settings: RunSettings,
         fleet: Fleet,
-        census: Census,
-        evaluators: EvaluatorDesk,
+        census: RunMonitor,
+        evaluators: EvaluatorHandler,
         changed: threading.Condition,
         on_refused: Callable[[CodecError], None],
         on_event: Callable[[str, str, str], None],
@@ -52,7 +52,7 @@ class JoinDesk:
         self._run = run
         self._settings = settings
         self._fleet = fleet
-        self._census = census
+        self._monitor = census
         self._evaluators = evaluators
         self._changed = changed
         self._on_refused = on_refused
@@ -91,7 +91,7 @@ class JoinDesk:
                 return self._no("finished", nothing_left(self._run), final=True)
             slot = self._fleet.join(join.incarnation, physics, time.monotonic())
             generation, restore = slot.given - 1, slot.start is not None and slot.start.environment is not None
-            self._census.joined(slot.number, join.incarnation, host, time.monotonic())
+            self._monitor.joined(slot.number, join.incarnation, host, time.monotonic())
         self._on_event(
             "info",
             "actor_joined",
@@ -113,5 +113,5 @@ class JoinDesk:
 
     def _no(self, slug: str, reason: str, *, final: bool) -> JoinReply:
         with self._changed:
-            self._census.turned_away(slug)
+            self._monitor.turned_away(slug)
         return JoinReply(False, reason, final, self._run, 0, 0, "")

@@ -12,7 +12,7 @@ ROUTER_S = 60.0
 """How long a learner waits for its router."""
 
 
-def open_to_actors(transport: TransportSettings) -> Session:
+def open_listener(transport: TransportSettings) -> Session:
     """The learner's session. Who has a name in its settings may do what his role may; without credentials, everyone.
 
     Raises `SessionError` and `SettingsError` as `open_session`.

@@ -38,7 +38,7 @@ class _Refusal:
     at_s: float
 
 
-class Census:
+class RunMonitor:
     """Kept by the hub beside the fleet, which decides; this remembers."""
 
     def __init__(self, run: str, settings: RunSettings, now_s: float) -> None:

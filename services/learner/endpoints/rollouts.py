@@ -17,12 +17,12 @@ from common.wire.keys import Keys
 from common.wire.messages import PushReply, Rollout
 from common.wire.session import Request
 from services.learner.endpoints.environments import LOG_FAILED
-from services.learner.endpoints.monitor import Census
+from services.learner.endpoints.monitor import RunMonitor
 from services.learner.scheduling.fleet import Fleet
 from services.learner.scheduling.slots import ACCEPTED
 
 
-class RolloutDesk:
+class RolloutHandler:
     """Answers on `rollout/<slot>`.
 
     Args:
@@ -36,7 +36,7 @@ class RolloutDesk:
         settings: RunSettings,
         log: LogWriter,
         fleet: Fleet,
-        census: Census,
+        census: RunMonitor,
         changed: threading.Condition,
     ) -> None:
         self._keys = Keys(run)
@@ -44,7 +44,7 @@ class RolloutDesk:
         self._queue_bytes = settings.transport.queue_bytes
         self._log = log
         self._fleet = fleet
-        self._census = census
+        self._monitor = census
         self._changed = changed
 
     def on_request(self, request: Request) -> None:
@@ -52,7 +52,7 @@ class RolloutDesk:
         reply = self._take(request)
         if reply is not None:
             with self._changed:
-                self._census.answered(request.key, reply, time.monotonic())
+                self._monitor.answered(request.key, reply, time.monotonic())
             request.reply(reply.encode())
 
     def _take(self, request: Request) -> PushReply | None:
@@ -80,6 +80,6 @@ class RolloutDesk:
         """On the log's thread: the rollout is in the file."""
         with self._changed:
             self._fleet.accept(rollout)
-            self._census.accepted(rollout.slot)
+            self._monitor.accepted(rollout.slot)
             self._changed.notify_all()
         request.reply(ACCEPTED.encode())

@@ -16,7 +16,7 @@ from common.log.repair import repair
 from common.log.segments import LOG_DIRECTORY, list_segments
 from common.wire.messages import Snapshot
 from services.learner.resume.logged_run import LoggedRun, read_logged_run
-from services.learner.resume.tail import Tail, departure
+from services.learner.resume.tail import Tail, divergence
 from services.learner.scheduling.slots import Place, Start
 from services.learner.training.checkpoints import list_checkpoints, put_aside, read_checkpoint, read_environments
 
@@ -104,7 +104,7 @@ def _by_log(settings: RunSettings, found: Found, logged: LoggedRun, updates: Seq
         [rollout.place for rollout in logged.unused if rollout.policy_version == version]
         for version in (logged.last, logged.last + 1)
     ]
-    return departure(found.starts, updates, unused, found.version) if updates or logged.unused else None
+    return divergence(found.starts, updates, unused, found.version) if updates or logged.unused else None
 
 
 def _read(run_dir: Path, settings: RunSettings) -> LoggedRun:

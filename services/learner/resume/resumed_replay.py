@@ -16,7 +16,7 @@ from services.learner.reporting.statistics import TrainingReturn
 from services.learner.resume.plan import Resumption
 
 
-class Again:
+class ResumedReplay:
     """What the loop asks of the log it goes on from; of a new run's, which is empty, nothing comes.
 
     Args:
@@ -72,7 +72,7 @@ class Again:
 
     def give_up_acting(self, version: int) -> bool:
         """Whether acting again has just failed, and the log alone decides from now on up to its end."""
-        why = self._hub.departure()
+        why = self._hub.divergence()
         if why is None:
             return False
         self._acting = False

@@ -10,12 +10,12 @@ from pathlib import Path
 from common.config.settings import TransportSettings
 from common.errors import CodecError
 from common.log.reader import LogReader
-from common.wire.door import make_door, refuse_open_doors
 from common.wire.keys import JOIN, Keys
+from common.wire.listener import make_listener_monitor, require_authentication
 from common.wire.messages import Join, JoinReply, Orders
 from common.wire.session import Request
 from services.learner.endpoints.joins import another_run, nothing_left
-from services.learner.endpoints.listening import open_to_actors
+from services.learner.endpoints.listening import open_listener
 from services.learner.resume.plan import repair_log
 
 WAIT_S = 10.0
@@ -26,7 +26,7 @@ LONGEST_S = 60.0
 PERIOD_S = 0.5
 
 
-def bid_farewell(
+def send_shutdown_notice(
     run_dir: Path,
     transport: TransportSettings,
     *,
@@ -42,7 +42,7 @@ def bid_farewell(
         SessionError, SettingsError: as for a learner that begins.
         LogReadError, LogWriteError: the log cannot be closed.
     """
-    refuse_open_doors(transport)
+    require_authentication(transport)
     run = LogReader(run_dir).metadata().get("run", {}).get("run", "")
     began_s = asked_s = time.monotonic()
 
@@ -52,7 +52,7 @@ def bid_farewell(
         request.reply(_answer(run, request.payload).encode())
 
     say(f"{run}: its learner did not live to tell its actors that the run is over; telling them, for {wait_s:g} s")
-    with make_door(transport), open_to_actors(transport) as session:
+    with make_listener_monitor(transport), open_listener(transport) as session:
         session.serve(JOIN, answer)
         orders = session.publisher(Keys(run).policy_notify)
         while not stop.wait(PERIOD_S):

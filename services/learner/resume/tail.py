@@ -109,7 +109,7 @@ def place_of(used: dict[str, int]) -> Place:
     return used["slot"], used["generation"], used["seq"]
 
 
-def departure(
+def divergence(
     starts: Sequence[Start], updates: Sequence[Collection[Place]], unused: Sequence[Collection[Place]], version: int
 ) -> str | None:
     """Why acting again from `starts` cannot make the rollouts of the log; None where it can.

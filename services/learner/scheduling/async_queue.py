@@ -36,7 +36,7 @@ class AsyncQueue:
         self.under_way: dict[RolloutKey, Place] = {}
 
     @property
-    def departure(self) -> str | None:
+    def divergence(self) -> str | None:
         """None: what actors make in this mode depends on the timing, so nothing is made again."""
         return None
 

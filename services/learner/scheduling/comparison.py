@@ -12,17 +12,17 @@ from services.learner.scheduling.slots import Place
 
 
 class Comparison:
-    """Of one version at a time. `departure` says why what is made is not what is logged; None while it is the same."""
+    """Of one version at a time. `divergence` says why what is made is not what is logged; None while it is the same."""
 
     def __init__(self) -> None:
         self._logged: dict[Place, Rollout] = {}
-        self.departure: str | None = None
+        self.divergence: str | None = None
 
     def begin(self, logged: Collection[Rollout]) -> None:
         """Compare with these from now on. Without any, nothing can depart: all that is made is new."""
         self._logged = {rollout.place: rollout for rollout in logged}
         if not logged:
-            self.departure = None
+            self.divergence = None
 
     def logged(self, place: Place, made: Rollout) -> Rollout | None:
         """The rollout of the log to take for one that was made again; None where the log has none."""
@@ -37,7 +37,7 @@ class Comparison:
             self._depart(f"slot {slot} lost its actor before all was made again")
 
     def _depart(self, what: str) -> None:
-        self.departure = self.departure or what
+        self.divergence = self.divergence or what
 
 
 def difference(logged: Rollout, made: Rollout) -> str | None:

@@ -200,9 +200,9 @@ class Fleet:
     # -- resuming ------------------------------------------------------------------------------------------
 
     @property
-    def departure(self) -> str | None:
+    def divergence(self) -> str | None:
         """Why what is made again is not what the log holds; None while it is the same."""
-        return self._gathering.departure
+        return self._gathering.divergence
 
     def start_over(self, starts: Sequence[Start], settled: Collection[Rollout], *, collect: bool) -> None:
         """Free every slot, to go on at `starts`; the rest as `begin`. What was accepted stays good."""
@@ -277,7 +277,7 @@ class Fleet:
     @property
     def hand_in(self) -> bool:
         """Whether the states of environments are wanted with this version."""
-        return self._hand_in and self.departure is None
+        return self._hand_in and self.divergence is None
 
     @property
     def finished(self) -> bool:

@@ -22,15 +22,15 @@ class SyncBatch:
         self._version = 0
         self._collecting = True
         self._settled: set[int] = set()
-        self._again = Comparison()
+        self._comparison = Comparison()
         self._taken: dict[Place, Rollout] = {}
         self._extra: Counter[int] = Counter()
         self.under_way: dict[RolloutKey, Place] = {}
 
     @property
-    def departure(self) -> str | None:
+    def divergence(self) -> str | None:
         """Why what is made again is not what the log of a resumed run holds; None while it is the same."""
-        return self._again.departure
+        return self._comparison.divergence
 
     @property
     def waits(self) -> bool:
@@ -43,7 +43,7 @@ class SyncBatch:
         """As `Fleet.begin`."""
         self._version = version
         self._collecting = collect
-        self._again.begin(logged)
+        self._comparison.begin(logged)
         self._taken.clear()
         self._settle(settled)
         self._extra.clear()
@@ -52,12 +52,12 @@ class SyncBatch:
     def start_over(self, settled: Collection[Rollout], *, collect: bool) -> None:
         """As `Fleet.start_over`."""
         self._collecting = collect
-        self._again.begin(())
+        self._comparison.begin(())
         self._settle(settled)
 
     def objection(self, rollout: Rollout) -> Objection | None:
         """Why a rollout of the slot's own actor is of no use."""
-        if rollout.policy_version != self._version or self.departure is not None:
+        if rollout.policy_version != self._version or self.divergence is not None:
             return "stale", f"made with policy {rollout.policy_version}; policy {self._version} is wanted"
         if not self._collecting or len(self._taken) + len(self.under_way) >= len(self._slots):
             return "surplus", f"policy {self._version} has all the rollouts it needs"
@@ -65,7 +65,7 @@ class SyncBatch:
 
     def admit(self, rollout: Rollout) -> PushReply | None:
         """None where it is to be logged, and is under way until then; accepted where the log has it already."""
-        if (logged := self._again.logged(rollout.place, rollout)) is not None:
+        if (logged := self._comparison.logged(rollout.place, rollout)) is not None:
             self._taken[rollout.place] = logged
             return ACCEPTED
         self.under_way[rollout.key] = rollout.place
@@ -92,7 +92,7 @@ class SyncBatch:
     def lost(self, slot: Slot) -> None:
         """The slot's actor is gone; what it had brought stays good."""
         if not slot.awaited:
-            self._again.lost(slot.number)
+            self._comparison.lost(slot.number)
 
     def share_out(self) -> None:
         """Hand the work of slots without an actor to those that have one.

@@ -33,7 +33,7 @@ def assemble(rollouts: Sequence[Rollout]) -> Batch:
         terminated=beside("terminated"),
         truncated=beside("truncated"),
         last_observation=end_to_end("last_obs"),
-        cut_observation=jnp.asarray(np.concatenate([_cut_observations(rollout) for rollout in rollouts])),
+        truncated_obs=jnp.asarray(np.concatenate([_truncated_obs(rollout) for rollout in rollouts])),
         slot=jnp.asarray([rollout.slot for rollout in rollouts], jnp.int32),
         fresh=jnp.asarray([rollout.seq == 0 for rollout in rollouts], jnp.bool_),
         mirror=Mirror(
@@ -46,7 +46,7 @@ def assemble(rollouts: Sequence[Rollout]) -> Batch:
     )
 
 
-def _cut_observations(rollout: Rollout) -> np.ndarray:
+def _truncated_obs(rollout: Rollout) -> np.ndarray:
     """For each environment the observation its episode was cut at, [N, O]; zero where none was.
 
     At most one cut an environment: a rollout is not longer than an episode.

@@ -134,7 +134,7 @@ def _empty_batch(settings: RunSettings) -> Batch:
         terminated=flag,
         truncated=flag,
         last_observation=observation,
-        cut_observation=observation,
+        truncated_obs=observation,
         slot=jnp.zeros((settings.actors,), jnp.int32),
         fresh=jnp.zeros((settings.actors,), jnp.bool_),
         mirror=mirror,

@@ -105,7 +105,7 @@ def random_batch(learner: SmallLearner, seed: int, *, ends: bool = True) -> Batc
         terminated=jnp.asarray(terminated),
         truncated=jnp.asarray(truncated),
         last_observation=normal(envs, networks.observation_size),
-        cut_observation=jnp.where(jnp.asarray(truncated.any(axis=0))[:, None], cut, 0.0),
+        truncated_obs=jnp.where(jnp.asarray(truncated.any(axis=0))[:, None], cut, 0.0),
         slot=jnp.arange(slots, dtype=jnp.int32),
         fresh=jnp.arange(slots) % 2 == 1,
         mirror=mirror_image(normal, settings.branches, networks),

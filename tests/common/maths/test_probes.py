@@ -78,7 +78,7 @@ def collect(name: str, state: LearnerState, probe: Probe, rng: np.random.Generat
         terminated=jnp.asarray(probe.last(observation)),
         truncated=jnp.zeros((STEPS, ENVS), jnp.bool_),
         last_observation=jnp.asarray(seen[-1, :, None]),
-        cut_observation=jnp.zeros((ENVS, 1), jnp.float32),
+        truncated_obs=jnp.zeros((ENVS, 1), jnp.float32),
         slot=jnp.arange(SLOTS, dtype=jnp.int32),
         fresh=jnp.zeros(SLOTS, jnp.bool_),
         mirror=Mirror(

@@ -99,7 +99,7 @@ def seen(learner: SmallLearner, before: Arrays, batch: Batch) -> Seen:
 
     Every rollout (two environments) starts from the moments before; what was not acted on is whitened by its last.
     """
-    raw = [batch.observation, batch.last_observation, batch.cut_observation, batch.mirror.next_observation]
+    raw = [batch.observation, batch.last_observation, batch.truncated_obs, batch.mirror.next_observation]
     steps, last, cut, mirrored = (np.array(x, np.float64) for x in raw)
     if learner.settings.algorithm.normalise_observations:
         for envs in (slice(0, 2), slice(2, 4)):

@@ -55,7 +55,7 @@ def test_a_task_has_the_sizes_that_the_table_says(task: str) -> None:
     after, transition = jax.eval_shape(env.step, state, action)
     assert avals(after) == avals(state)
     assert not any(weak for _, _, weak in avals((after, transition)))
-    assert transition.obs.shape == transition.final_obs.shape == (2, TASKS[task].observation_size)
+    assert transition.obs.shape == transition.next_obs.shape == (2, TASKS[task].observation_size)
 
 
 def test_an_episode_has_the_papers_length_unless_told_otherwise() -> None:
@@ -79,14 +79,14 @@ def test_an_episode_is_truncated_at_its_length(pendulum: BatchedEnvironment) -> 
         assert not transition.truncated.any()
         np.testing.assert_array_equal(transition.episode_return, [0, 0, 0, 0])
         np.testing.assert_array_equal(transition.episode_length, [0, 0, 0, 0])
-        np.testing.assert_array_equal(transition.final_obs, transition.obs)
+        np.testing.assert_array_equal(transition.next_obs, transition.obs)
     last = transitions[4]
     assert last.truncated.all()
     assert not last.terminated.any()
     np.testing.assert_array_equal(last.episode_return, [5, 5, 5, 5])
     np.testing.assert_array_equal(last.episode_length, [5, 5, 5, 5])
     np.testing.assert_array_equal(last.obs, first.obs)
-    assert (last.final_obs != last.obs).any(axis=1).all()
+    assert (last.next_obs != last.obs).any(axis=1).all()
     jax.tree.map(np.testing.assert_array_equal, state, first)
 
 
@@ -100,9 +100,9 @@ def test_an_end_of_the_task_terminates_that_environment_alone(pendulum: BatchedE
     np.testing.assert_array_equal(transition.reward, [1, 1, 1, 1])
     np.testing.assert_array_equal(transition.episode_return, [0, 3, 0, 0])
     np.testing.assert_array_equal(transition.episode_length, [0, 3, 0, 0])
-    assert transition.final_obs[1, 1] > 0.2
+    assert transition.next_obs[1, 1] > 0.2
     np.testing.assert_array_equal(transition.obs[1], first.obs[1])
-    np.testing.assert_array_equal(transition.obs[::2], transition.final_obs[::2])
+    np.testing.assert_array_equal(transition.obs[::2], transition.next_obs[::2])
     np.testing.assert_array_equal(state.steps, [3, 0, 3, 3])
     np.testing.assert_array_equal(state.episode_return, [3, 0, 3, 3])
 
@@ -137,7 +137,7 @@ def test_a_simulation_that_diverged_is_ended_and_counted(
     np.testing.assert_array_equal(transition.reward, [1, 1, 1, 0])
     np.testing.assert_array_equal(transition.episode_return, [0, 0, 0, 1])
     np.testing.assert_array_equal(transition.episode_length, [0, 0, 0, 2])
-    np.testing.assert_array_equal(transition.final_obs[3], before.obs[3])
+    np.testing.assert_array_equal(transition.next_obs[3], before.obs[3])
     np.testing.assert_array_equal(transition.obs[3], first.obs[3])
     np.testing.assert_array_equal(after.diverged, [0, 0, 0, 1])
     np.testing.assert_array_equal(transition.obs[:3], expected.obs[:3])
@@ -153,7 +153,7 @@ def test_an_action_that_is_not_a_number_ends_the_episode(pendulum: BatchedEnviro
     after, transition = pendulum.step(state, NO_ACTION.at[0].set(jnp.nan))
     np.testing.assert_array_equal(after.diverged, [1, 0, 0, 0])
     np.testing.assert_array_equal(transition.terminated, [True, False, False, False])
-    assert np.isfinite(transition.final_obs).all()
+    assert np.isfinite(transition.next_obs).all()
 
 
 def test_actions_are_clipped(hopper: BatchedEnvironment) -> None:

@@ -36,7 +36,7 @@ def test_both_engines_move_alike(mjx: BatchedEnvironment, native: BatchedEnviron
         action = 0.1 * jax.random.uniform(jax.random.key(i), (N, 1), minval=-1)
         ours, by_native = native.step(ours, action)
         theirs, by_mjx = mjx.step(theirs, action)
-        np.testing.assert_allclose(by_mjx.final_obs, by_native.final_obs, atol=1e-3)
+        np.testing.assert_allclose(by_mjx.next_obs, by_native.next_obs, atol=1e-3)
         np.testing.assert_array_equal(by_mjx.reward, by_native.reward)
         np.testing.assert_array_equal(by_mjx.terminated, by_native.terminated)
     assert not np.array_equal(ours.obs, start.obs)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-import reskpn.supervision.crew
+import reskpn.supervision.supervisor
 import services.learner.resume.shutdown_notice
 import services.learner.service
 from common.config.settings import RunSettings, TransportSettings
@@ -40,7 +40,7 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, RunSettings, bool]
         calls.append(("learner", settings, resume))
         return 0
 
-    monkeypatch.setattr(reskpn.supervision.crew, "train", train)
+    monkeypatch.setattr(reskpn.supervision.supervisor, "train", train)
     monkeypatch.setattr(services.learner.service, "run_learner", run_learner)
     return calls
 
@@ -137,10 +137,10 @@ def test_a_finished_run_whose_log_is_not_closed(
     """Its learner was killed before its actors had heard that all is done: they are told, and nothing else begins."""
     seen_off: list[tuple[Path, str]] = []
 
-    def bid_farewell(run_dir: Path, transport: TransportSettings, **_: object) -> None:
+    def send_shutdown_notice(run_dir: Path, transport: TransportSettings, **_: object) -> None:
         seen_off.append((run_dir, transport.endpoint))
 
-    monkeypatch.setattr(services.learner.resume.shutdown_notice, "bid_farewell", bid_farewell)
+    monkeypatch.setattr(services.learner.resume.shutdown_notice, "send_shutdown_notice", send_shutdown_notice)
     words = ["learner", *(word.format(run_dir) for word in how)]
     (run_dir / "summary.json").write_text(json.dumps({"complete": True}))
     assert main(words) == 0
@@ -189,7 +189,9 @@ def test_auto_sees_off_the_actors_of_a_run_that_has_just_finished(
     """A learner's container that is started again after its kill does not begin another run."""
     seen_off: list[Path] = []
     monkeypatch.setattr(
-        services.learner.resume.shutdown_notice, "bid_farewell", lambda run_dir, *_, **__: seen_off.append(run_dir)
+        services.learner.resume.shutdown_notice,
+        "send_shutdown_notice",
+        lambda run_dir, *_, **__: seen_off.append(run_dir),
     )
     (newest / "summary.json").write_text(json.dumps({"complete": True}))
     (segment,) = (newest / "log").glob("*.mcap")

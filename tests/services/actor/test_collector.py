@@ -224,7 +224,7 @@ def test_a_branch_is_the_last_step_with_the_mirrored_action(
         np.testing.assert_allclose(arrays["mirror_action"], 2 * mean - arrays["action"][-1], rtol=1e-5, atol=1e-6)
         _, mirrored = environment.step(before, jax.numpy.asarray(arrays["mirror_action"]))
         np.testing.assert_allclose(arrays["mirror_reward"], mirrored.reward, rtol=1e-5)
-        np.testing.assert_allclose(arrays["mirror_obs"], mirrored.final_obs, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(arrays["mirror_obs"], mirrored.next_obs, rtol=1e-4, atol=1e-5)
         np.testing.assert_array_equal(arrays["mirror_terminated"], mirrored.terminated)
         np.testing.assert_array_equal(arrays["mirror_truncated"], mirrored.truncated)
         # The branch is another life than the one that goes on.
@@ -257,7 +257,7 @@ def test_rewards_and_ends_are_those_of_the_environments(
             np.testing.assert_array_equal(arrays["terminated"][t], step.terminated)
             np.testing.assert_array_equal(arrays["truncated"][t], step.truncated)
             # In the order of time, then environment: the observation the time limit cut the episode at.
-            cut += [np.asarray(step.final_obs)[n] for n in np.flatnonzero(arrays["truncated"][t])]
+            cut += [np.asarray(step.next_obs)[n] for n in np.flatnonzero(arrays["truncated"][t])]
         np.testing.assert_allclose(arrays["last_obs"], state.obs, atol=1e-5)
         np.testing.assert_allclose(arrays["truncated_obs"], np.array(cut).reshape(-1, 4), atol=1e-5)
     assert joined(made, "truncated").any()

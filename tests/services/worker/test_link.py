@@ -276,7 +276,7 @@ def test_pushing_can_be_stopped(linked: Linked, stop: threading.Event) -> None:
 
 
 def test_an_evaluation_goes_the_same_way(linked: Linked, stop: threading.Event) -> None:
-    """Again while the learner is busy, False where it is not wanted any more."""
+    """ResumedReplay while the learner is busy, False where it is not wanted any more."""
     pushes = Script(
         PushReply("busy", "").encode(),
         ACCEPTED.encode(),

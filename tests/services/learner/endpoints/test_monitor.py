@@ -7,7 +7,7 @@ from samples import RUN, STATUS_NOW, heartbeat, settings
 
 from common.wire.messages import PushReply
 from common.wire.report import LONGEST, RunReport
-from services.learner.endpoints.monitor import KEPT_VERSIONS, Census
+from services.learner.endpoints.monitor import KEPT_VERSIONS, RunMonitor
 from services.learner.scheduling.fleet import Fleet
 
 KEY = "reskpn/v1/run-1/rollout/"
@@ -19,20 +19,20 @@ def fleet() -> Fleet:
 
 
 @pytest.fixture
-def census(fleet: Fleet) -> Census:
+def census(fleet: Fleet) -> RunMonitor:
     """Begun at 100 s; "a" joined slot 0 at 101 s and was heard of at 102 s, with version 4."""
-    census = Census(RUN, settings(), 100.0)
+    census = RunMonitor(RUN, settings(), 100.0)
     fleet.join("a", "native", 101.0)
     census.joined(0, "a", "here", 101.0)
     fleet.heard(heartbeat(0, "a", "collecting", version=4, state_s=0.5), 102.0)
     return census
 
 
-def report(census: Census, fleet: Fleet, now_s: float = 103.0) -> RunReport:
+def report(census: RunMonitor, fleet: Fleet, now_s: float = 103.0) -> RunReport:
     return census.report(fleet, "waits", now_s, 7)
 
 
-def test_times_count_up_to_the_answer(census: Census, fleet: Fleet) -> None:
+def test_times_count_up_to_the_answer(census: RunMonitor, fleet: Fleet) -> None:
     """At 103 s: up for 3 s, heard of 1 s ago, in its state for 0.5 + 1 s, slot 1 empty since the start."""
     found = report(census, fleet)
     (actor,) = found.actors
@@ -41,7 +41,7 @@ def test_times_count_up_to_the_answer(census: Census, fleet: Fleet) -> None:
     assert [(vacancy.slot, vacancy.lost, vacancy.for_s) for vacancy in found.vacancies] == [(1, False, 3.0)]
 
 
-def test_the_age_of_a_snapshot(census: Census, fleet: Fleet) -> None:
+def test_the_age_of_a_snapshot(census: RunMonitor, fleet: Fleet) -> None:
     """Since its version was published; not known for one that is too old."""
     assert report(census, fleet).actors[0].snapshot_age_s is None
     census.published(4, 102.25)
@@ -51,7 +51,7 @@ def test_the_age_of_a_snapshot(census: Census, fleet: Fleet) -> None:
     assert report(census, fleet).actors[0].snapshot_age_s is None
 
 
-def test_rollouts_are_counted_by_slot_and_in_all(census: Census, fleet: Fleet) -> None:
+def test_rollouts_are_counted_by_slot_and_in_all(census: RunMonitor, fleet: Fleet) -> None:
     """Accepted, repeated, busy and refused; a key that names no slot of the run counts in all alone."""
     census.accepted(0)
     census.answered(f"{KEY}0", PushReply("accepted", ""), 102.0)
@@ -69,7 +69,7 @@ def test_rollouts_are_counted_by_slot_and_in_all(census: Census, fleet: Fleet) -
     assert (found.last_refusal.reason, found.last_refusal.text, found.last_refusal.ago_s) == ("bad_key", "no", 0.5)
 
 
-def test_a_new_incarnation_starts_at_zero(census: Census, fleet: Fleet) -> None:
+def test_a_new_incarnation_starts_at_zero(census: RunMonitor, fleet: Fleet) -> None:
     """A repeated question of the same one does not; the run's own counts go on."""
     census.accepted(0)
     census.joined(0, "a", "here", 102.0)
@@ -88,7 +88,7 @@ def test_a_new_incarnation_starts_at_zero(census: Census, fleet: Fleet) -> None:
     assert (found.totals.accepted, found.totals.joined, found.totals.lost) == (1, 2, 1)
 
 
-def test_what_the_loop_told_last(census: Census, fleet: Fleet) -> None:
+def test_what_the_loop_told_last(census: RunMonitor, fleet: Fleet) -> None:
     """With its age; nothing before it has told anything."""
     assert report(census, fleet).progress is None
     census.told(STATUS_NOW, 102.0)
@@ -98,7 +98,7 @@ def test_what_the_loop_told_last(census: Census, fleet: Fleet) -> None:
     assert (progress.train_return, progress.step_reward) == (8.5, 0.25)
 
 
-def test_refusals_by_kind_and_by_reason(census: Census, fleet: Fleet) -> None:
+def test_refusals_by_kind_and_by_reason(census: RunMonitor, fleet: Fleet) -> None:
     """The same reason of two kinds is one in the sum."""
     census.refused("join", "schema", "old", 102.0)
     census.refused("heartbeat", "schema", "old", 102.0)
@@ -109,7 +109,7 @@ def test_refusals_by_kind_and_by_reason(census: Census, fleet: Fleet) -> None:
     assert found.turned_away == {"no_slot": 1}
 
 
-def test_texts_of_others_are_made_fit(census: Census, fleet: Fleet) -> None:
+def test_texts_of_others_are_made_fit(census: RunMonitor, fleet: Fleet) -> None:
     """However long and whatever is in them: the report can always be made and read."""
     census.joined(1, "b", "\x1b[2J" + "h" * 1000, 102.0)
     census.refused("rollout", "bad_value", "\x07" + "t" * 10_000, 102.0)

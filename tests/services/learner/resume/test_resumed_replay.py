@@ -12,7 +12,7 @@ from samples import rollout, settings, snapshot
 
 from common.wire.messages import Rollout
 from services.learner.resume.plan import Resumption
-from services.learner.resume.resumed_replay import Again
+from services.learner.resume.resumed_replay import ResumedReplay
 from services.learner.resume.tail import LoggedUpdate, Tail
 from services.learner.scheduling.slots import Start
 
@@ -32,7 +32,7 @@ class HubStandIn:
         self.begun.append(wanted)
         return b""
 
-    def departure(self) -> str | None:
+    def divergence(self) -> str | None:
         return self.failed
 
     def start_over(self, starts: Any, settled: Any, *, collect: bool) -> None:
@@ -59,7 +59,7 @@ class Sides:
         self.hub = HubStandIn()
         self.events: Queue[tuple[str, str, str]] = Queue()
         hub: Any = self.hub
-        self.again = Again(hub, resumption, lambda *event: self.events.put(event))
+        self.again = ResumedReplay(hub, resumption, lambda *event: self.events.put(event))
 
     def begin(self, version: int) -> dict[str, Any]:
         self.again.begin(snapshot(version), SETTINGS)

@@ -20,7 +20,7 @@ from common.wire.keys import JOIN, Keys
 from common.wire.messages import JoinReply, Orders
 from common.wire.session import Session, open_session
 from services.learner.resume import shutdown_notice as farewell_of
-from services.learner.resume.shutdown_notice import bid_farewell
+from services.learner.resume.shutdown_notice import send_shutdown_notice
 
 DEADLINE_S = 15.0
 
@@ -51,7 +51,9 @@ def test_actors_hear_it_and_the_log_is_closed(run_dir: Path) -> None:
     transport = TransportSettings(endpoint=f"tcp/127.0.0.1:{free_port()}")
     stop, said = threading.Event(), list[str]()
     farewell = threading.Thread(
-        target=bid_farewell, args=(run_dir, transport), kwargs={"stop": stop, "say": said.append, "wait_s": DEADLINE_S}
+        target=send_shutdown_notice,
+        args=(run_dir, transport),
+        kwargs={"stop": stop, "say": said.append, "wait_s": DEADLINE_S},
     )
     farewell.start()
     with open_session(connect=[transport.endpoint], connect_timeout_s=DEADLINE_S, max_message_size=1 << 20) as session:
@@ -72,7 +74,7 @@ def test_another_run_is_not_over(run_dir: Path) -> None:
     transport = TransportSettings(endpoint=f"tcp/127.0.0.1:{free_port()}")
     stop = threading.Event()
     farewell = threading.Thread(
-        target=bid_farewell, args=(run_dir, transport), kwargs={"stop": stop, "say": lambda _: None}
+        target=send_shutdown_notice, args=(run_dir, transport), kwargs={"stop": stop, "say": lambda _: None}
     )
     farewell.start()
     with open_session(connect=[transport.endpoint], connect_timeout_s=DEADLINE_S, max_message_size=1 << 20) as session:
@@ -88,7 +90,7 @@ def test_who_has_joined_hears_it_in_the_orders(run_dir: Path) -> None:
     transport = TransportSettings(endpoint=f"tcp/127.0.0.1:{free_port()}")
     stop, heard = threading.Event(), Queue[Orders]()
     farewell = threading.Thread(
-        target=bid_farewell, args=(run_dir, transport), kwargs={"stop": stop, "say": lambda _: None}
+        target=send_shutdown_notice, args=(run_dir, transport), kwargs={"stop": stop, "say": lambda _: None}
     )
     with open_session(connect=[transport.endpoint], max_message_size=1 << 20) as session:
         session.subscribe(Keys("run-1").policy_notify, lambda _, data: heard.put(Orders.decode(data)))
@@ -104,7 +106,7 @@ def test_it_waits_for_those_who_ask(run_dir: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(farewell_of, "QUIET_S", 0.0)
     began_s = time.monotonic()
     transport = TransportSettings(endpoint=f"tcp/127.0.0.1:{free_port()}")
-    bid_farewell(run_dir, transport, stop=threading.Event(), say=lambda _: None, wait_s=0.7)
+    send_shutdown_notice(run_dir, transport, stop=threading.Event(), say=lambda _: None, wait_s=0.7)
     assert time.monotonic() - began_s >= 0.7
     assert not LogReader(run_dir).torn
 
@@ -112,5 +114,5 @@ def test_it_waits_for_those_who_ask(run_dir: Path, monkeypatch: pytest.MonkeyPat
 def test_it_has_the_doors_of_a_learner(run_dir: Path) -> None:
     """Nobody is answered from other machines without being asked who he is; the log stays as it is."""
     with pytest.raises(SettingsError, match="has no authentication"):
-        bid_farewell(run_dir, TransportSettings(endpoint="tcp/0.0.0.0:7447"), stop=threading.Event(), say=print)
+        send_shutdown_notice(run_dir, TransportSettings(endpoint="tcp/0.0.0.0:7447"), stop=threading.Event(), say=print)
     assert LogReader(run_dir).torn

@@ -12,7 +12,7 @@ from samples import rollout
 from common.errors import LogReadError
 from common.log.records import LogMessage, encode_json
 from common.wire.messages import Rollout
-from services.learner.resume.tail import LoggedUpdate, Tail, departure, read_updates
+from services.learner.resume.tail import LoggedUpdate, Tail, divergence, read_updates
 from services.learner.scheduling.comparison import difference
 from services.learner.scheduling.slots import Start
 
@@ -122,10 +122,10 @@ STARTS = [Start(0, 3), Start(2, 1)]
 def test_a_run_without_losses_can_be_acted_again() -> None:
     """Every slot goes on from its start, one rollout a version; of the last version and the next some may be there."""
     whole = [{(0, 0, 3), (1, 2, 1)}, {(0, 0, 4), (1, 2, 2)}]
-    assert departure(STARTS, whole, [], 10) is None
-    assert departure(STARTS, whole, [[(1, 2, 3)], []], 10) is None
-    assert departure(STARTS, [], [[(0, 0, 3)], []], 10) is None
-    assert departure(STARTS, [], [[(0, 0, 3), (1, 2, 1)], [(1, 2, 2)]], 10) is None
+    assert divergence(STARTS, whole, [], 10) is None
+    assert divergence(STARTS, whole, [[(1, 2, 3)], []], 10) is None
+    assert divergence(STARTS, [], [[(0, 0, 3)], []], 10) is None
+    assert divergence(STARTS, [], [[(0, 0, 3), (1, 2, 1)], [(1, 2, 2)]], 10) is None
 
 
 @pytest.mark.parametrize(
@@ -143,6 +143,6 @@ def test_a_run_with_losses_cannot(
     places: list[set[tuple[int, int, int]]], unused: list[list[tuple[int, int, int]]]
 ) -> None:
     """What a successor made began with environments that are nowhere kept."""
-    assert departure(STARTS, places, unused, 10) == (
+    assert divergence(STARTS, places, unused, 10) == (
         "version 10 of the run was not acted by one and the same actor in every slot"
     )

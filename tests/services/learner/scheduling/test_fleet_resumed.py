@@ -74,7 +74,7 @@ def test_what_the_log_has_is_accepted_without_being_logged() -> None:
     assert fleet.admit(made(1, "b", 3)) == ACCEPTED
     assert fleet.take() is None
     assert fleet.admit(made(0, "a", 5)) == ACCEPTED
-    assert fleet.departure is None
+    assert fleet.divergence is None
     taken = fleet.take()
     assert taken is not None
     assert [one is before for one, before in zip(taken, old, strict=True)] == [True, True]
@@ -98,8 +98,8 @@ def test_a_difference_is_a_departure() -> None:
     fleet = resumed()
     reward = made(0, "a", 5).reward + np.float32(1)
     assert fleet.admit(made(0, "a", 5, reward=reward)) == ACCEPTED
-    assert fleet.departure is not None
-    assert fleet.departure.startswith("rollout 5 of slot 0, version 10: reward[0, 0] is ")
+    assert fleet.divergence is not None
+    assert fleet.divergence.startswith("rollout 5 of slot 0, version 10: reward[0, 0] is ")
     answer = fleet.admit(made(1, "b", 3))
     assert answer is not None
     assert answer.reason.startswith("stale: ")
@@ -110,17 +110,17 @@ def test_a_loss_while_acting_again_is_a_departure() -> None:
     fleet = resumed()
     fleet.admit(made(0, "a", 5))
     fleet.lose("a")
-    assert fleet.departure == "slot 0 lost its actor before all was made again"
+    assert fleet.divergence == "slot 0 lost its actor before all was made again"
     # It stays one as long as there is something to be made again.
     fleet.begin(11, logged=[made(0, "old", 6, 11), made(1, "old", 4, 11)])
-    assert fleet.departure is not None
+    assert fleet.divergence is not None
     fleet.begin(12)
-    assert fleet.departure is None
+    assert fleet.divergence is None
     # Later it is an ordinary loss.
     later = resumed([])
     push(later, made(0, "a", 5))
     later.lose("a")
-    assert later.departure is None
+    assert later.divergence is None
 
 
 def test_starting_over_frees_every_slot() -> None:
@@ -130,7 +130,7 @@ def test_starting_over_frees_every_slot() -> None:
     push(fleet, made(1, "b", 3))
     fleet.admit(made(0, "a", 5, reward=old.reward + np.float32(1)))
     fleet.start_over((Start(1), Start(3)), [old], collect=True)
-    assert fleet.departure is None
+    assert fleet.divergence is None
     assert fleet.orders(digest="d", size=7, t_ns=3).collect == {}
     taken = fleet.take()
     assert taken is not None

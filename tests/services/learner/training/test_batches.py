@@ -43,7 +43,7 @@ def test_one_rollout_is_a_batch() -> None:
 def test_dtypes() -> None:
     """Numbers are float32, flags bool and slots int32, as the update was compiled for."""
     batch = assemble([rollout(0, "a"), rollout(1, "b")])
-    for name in ("observation", "action", "log_prob", "reward", "last_observation", "cut_observation"):
+    for name in ("observation", "action", "log_prob", "reward", "last_observation", "truncated_obs"):
         assert getattr(batch, name).dtype == np.float32, name
     for name in ("terminated", "truncated", "fresh"):
         assert getattr(batch, name).dtype == np.bool_, name
@@ -58,7 +58,7 @@ def test_a_cut_observation_goes_to_its_environment() -> None:
     cut = np.array([[1, 1, 1, 1], [2, 2, 2, 2]], np.float32)
     batch = assemble([rollout(0, "a"), rollout(1, "b", truncated=truncated, truncated_obs=cut)])
     expected = [[0, 0, 0, 0], [0, 0, 0, 0], [2, 2, 2, 2], [1, 1, 1, 1]]
-    assert np.asarray(batch.cut_observation).tolist() == expected
+    assert np.asarray(batch.truncated_obs).tolist() == expected
 
 
 def test_fresh_marks_the_first_rollout_of_a_life() -> None:

@@ -17,8 +17,8 @@ from common.config.settings import RunSettings
 from common.config.sources import load
 from common.errors import ProcessError, SettingsError
 from common.wire.endpoint import Endpoint
-from reskpn.supervision import crew as train_module
-from reskpn.supervision.crew import QUICK_DEATHS, Crew, resolved, train
+from reskpn.supervision import supervisor as train_module
+from reskpn.supervision.supervisor import QUICK_DEATHS, ActorSupervisor, resolved, train
 
 DEADLINE_S = 20.0
 
@@ -51,12 +51,12 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 
 @pytest.fixture
-def crews(tmp_path: Path) -> Iterator[Callable[..., Crew]]:
+def crews(tmp_path: Path) -> Iterator[Callable[..., ActorSupervisor]]:
     """Makes the crew of a run; ended after the test."""
-    made: list[Crew] = []
+    made: list[ActorSupervisor] = []
 
-    def make(actors: int = 1) -> Crew:
-        made.append(Crew(resolved(RunSettings(actors=actors, run_dir=tmp_path))))
+    def make(actors: int = 1) -> ActorSupervisor:
+        made.append(ActorSupervisor(resolved(RunSettings(actors=actors, run_dir=tmp_path))))
         return made[-1]
 
     yield make
@@ -64,7 +64,7 @@ def crews(tmp_path: Path) -> Iterator[Callable[..., Crew]]:
         crew.end()
 
 
-def processes(crew: Crew) -> list[subprocess.Popen[bytes]]:
+def processes(crew: ActorSupervisor) -> list[subprocess.Popen[bytes]]:
     return [post.process for post in crew.posts if post.process is not None]
 
 
@@ -113,7 +113,7 @@ def test_everything_else_stays(tmp_path: Path) -> None:
 # -- the actors --------------------------------------------------------------------------------------------
 
 
-def test_all_actors_are_started_at_once(stand_in: Callable[..., None], crews: Callable[..., Crew]) -> None:
+def test_all_actors_are_started_at_once(stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor]) -> None:
     """Beside the learner, for which they wait by themselves."""
     stand_in(actor=STAYS)
     crew = crews(4)
@@ -122,7 +122,7 @@ def test_all_actors_are_started_at_once(stand_in: Callable[..., None], crews: Ca
     assert len({process.pid for process in processes(crew)}) == 4
 
 
-def test_actors_that_live_are_left_alone(stand_in: Callable[..., None], crews: Callable[..., Crew]) -> None:
+def test_actors_that_live_are_left_alone(stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor]) -> None:
     """However often they are looked after."""
     stand_in(actor=STAYS)
     crew = crews(2)
@@ -134,7 +134,7 @@ def test_actors_that_live_are_left_alone(stand_in: Callable[..., None], crews: C
 
 
 def test_an_actor_that_has_left_is_not_missed(
-    stand_in: Callable[..., None], crews: Callable[..., Crew], until: Callable[..., None]
+    stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor], until: Callable[..., None]
 ) -> None:
     """Exit code 0 means that the run is over."""
     stand_in(actor="exit 0")
@@ -149,7 +149,7 @@ def test_an_actor_that_has_left_is_not_missed(
 @pytest.mark.parametrize(("script", "how"), [("kill -9 $$", "signal 9"), ("exit 3", "exit code 3")])
 def test_an_actor_that_died_is_started_again(
     stand_in: Callable[..., None],
-    crews: Callable[..., Crew],
+    crews: Callable[..., ActorSupervisor],
     capsys: pytest.CaptureFixture[str],
     script: str,
     how: str,
@@ -175,7 +175,7 @@ def test_an_actor_that_died_is_started_again(
 
 @pytest.mark.parametrize("code", [2, 4, 6])
 def test_an_actor_that_will_never_work_ends_the_run(
-    stand_in: Callable[..., None], crews: Callable[..., Crew], code: int
+    stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor], code: int
 ) -> None:
     """A setting, a refusal or an engine that is missing is the same the next time: its last words are the reason."""
     stand_in(actor=f"for i in 1 2 3 4 5 6; do echo word $i; done; echo reason >&2; exit {code}")
@@ -192,14 +192,14 @@ def test_an_actor_that_will_never_work_ends_the_run(
     assert words.read_text().splitlines()[0] == "word 1"
 
 
-def die(crew: Crew) -> None:
+def die(crew: ActorSupervisor) -> None:
     """Have the one actor started, and wait for its end."""
     crew.keep_up()
     processes(crew)[0].wait(DEADLINE_S)
 
 
 def test_an_actor_that_dies_again_and_again_ends_the_run(
-    stand_in: Callable[..., None], crews: Callable[..., Crew]
+    stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor]
 ) -> None:
     """Three quick deaths on end are enough."""
     stand_in(actor="echo no; exit 9")
@@ -211,7 +211,7 @@ def test_an_actor_that_dies_again_and_again_ends_the_run(
 
 
 def test_deaths_far_apart_do_not_add_up(
-    stand_in: Callable[..., None], crews: Callable[..., Crew], monkeypatch: pytest.MonkeyPatch
+    stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A run of days may lose an actor now and then; one that worked for long begins its count anew."""
     stand_in(actor="exit 9")
@@ -229,7 +229,7 @@ def test_deaths_far_apart_do_not_add_up(
         crew.keep_up()
 
 
-def test_at_the_end_all_are_asked_to_stop(stand_in: Callable[..., None], crews: Callable[..., Crew]) -> None:
+def test_at_the_end_all_are_asked_to_stop(stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor]) -> None:
     """And have stopped when it is over."""
     stand_in(actor=f"{STAYS}; exit 5")
     crew = crews(4)
@@ -241,7 +241,7 @@ def test_at_the_end_all_are_asked_to_stop(stand_in: Callable[..., None], crews: 
 
 def test_who_does_not_stop_is_killed(
     stand_in: Callable[..., None],
-    crews: Callable[..., Crew],
+    crews: Callable[..., ActorSupervisor],
     monkeypatch: pytest.MonkeyPatch,
     until: Callable[..., None],
 ) -> None:
@@ -255,7 +255,7 @@ def test_who_does_not_stop_is_killed(
 
 
 def test_actors_are_told_where_and_not_what(
-    stand_in: Callable[..., None], crews: Callable[..., Crew], monkeypatch: pytest.MonkeyPatch
+    stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The learner has the settings, already merged: its variables must not count a second time. The cache's does."""
     monkeypatch.setenv("RESKPN_SEED", "3")
@@ -345,7 +345,9 @@ def test_a_directory_that_holds_a_run_is_found_before_anything_starts(
     assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
 
 
-def test_processes_are_out_of_reach_of_the_terminal(stand_in: Callable[..., None], crews: Callable[..., Crew]) -> None:
+def test_processes_are_out_of_reach_of_the_terminal(
+    stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor]
+) -> None:
     """Ctrl-C reaches `train` alone, which stops them in order: each is the leader of a session of its own."""
     stand_in(actor=STAYS)
     crew = crews()

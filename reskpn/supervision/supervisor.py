@@ -53,7 +53,7 @@ def train(settings: RunSettings, *, resume: bool = False) -> int:
         how = ["--resume", str(run_dir)] if resume else []
         learner = _start([*_reskpn("learner"), "--config", str(config), *how])
         stack.callback(_end, [learner])
-        crew = Crew(settings)
+        crew = ActorSupervisor(settings)
         stack.callback(crew.end)
         while learner.poll() is None:
             if stop.is_set():
@@ -90,7 +90,7 @@ def resolved(settings: RunSettings) -> RunSettings:
 
 
 @dataclass
-class Post:
+class ActorProcess:
     """One actor's place, and the process that is in it."""
 
     number: int
@@ -100,14 +100,14 @@ class Post:
 
 
 @dataclass
-class Crew:
+class ActorSupervisor:
     """The actors: started, started again when they die."""
 
     settings: RunSettings
-    posts: list[Post] = field(init=False)
+    posts: list[ActorProcess] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.posts = [Post(number) for number in range(self.settings.actors)]
+        self.posts = [ActorProcess(number) for number in range(self.settings.actors)]
 
     def keep_up(self) -> None:
         """Start every actor that is not running, unless it has left because the run is over.
@@ -130,10 +130,10 @@ class Crew:
         assert self.settings.run_dir is not None
         return self.settings.run_dir
 
-    def _words(self, post: Post) -> Path:
+    def _words(self, post: ActorProcess) -> Path:
         return self._run_dir / "processes" / f"actor-{post.number}.txt"
 
-    def _start(self, post: Post) -> None:
+    def _start(self, post: ActorProcess) -> None:
         self._words(post).parent.mkdir(exist_ok=True)
         threads = max(1, len(os.sched_getaffinity(0)) // self.settings.actors)
         transport = self.settings.transport
@@ -144,7 +144,7 @@ class Crew:
             post.process = _start(command, output=words.fileno())
         post.started_s = time.monotonic()
 
-    def _bury(self, post: Post, code: int) -> None:
+    def _bury(self, post: ActorProcess, code: int) -> None:
         quick = time.monotonic() - post.started_s < QUICK_S
         post.quick_deaths = post.quick_deaths + 1 if quick else 0
         if post.process is not None:

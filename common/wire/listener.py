@@ -22,7 +22,7 @@ OnRefused = Callable[[str, str], None]
 """(reason, a sentence on it)."""
 
 
-def refuse_open_doors(transport: TransportSettings, *, as_options: bool = False) -> None:
+def require_authentication(transport: TransportSettings, *, as_options: bool = False) -> None:
     """SettingsError where other machines reach a listener that does not ask who they are.
 
     `as_options`: it was given by options of a command, and not as settings of a run.
@@ -38,7 +38,7 @@ def refuse_open_doors(transport: TransportSettings, *, as_options: bool = False)
     )
 
 
-class OpenDoor:
+class ListenerMonitor:
     """For a listener that refuses nobody."""
 
     def __enter__(self) -> Self:
@@ -53,7 +53,7 @@ class OpenDoor:
         """Tell from now on who was refused at this session."""
 
 
-class GuardedDoor(OpenDoor):
+class AuthenticatedListenerMonitor(ListenerMonitor):
     """Counts who was refused. Entered before the session is opened, left after it is closed."""
 
     def __init__(self, transport: TransportSettings) -> None:
@@ -87,7 +87,7 @@ class GuardedDoor(OpenDoor):
             self._on_refused("stranger", f"{REASONS['stranger']}: {printable(name, 64)}")
 
 
-def make_door(transport: TransportSettings) -> OpenDoor:
+def make_listener_monitor(transport: TransportSettings) -> ListenerMonitor:
     """Guarded where the listener asks who comes in. A learner at a router does not listen: the router's door counts."""
     guarded = Credentials.of(transport).authenticate(transport.endpoint) and not transport.router
-    return GuardedDoor(transport) if guarded else OpenDoor()
+    return AuthenticatedListenerMonitor(transport) if guarded else ListenerMonitor()
