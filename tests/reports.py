@@ -19,7 +19,7 @@ def actor(slot: int = 0, **changes: Any) -> ActorReport:
 def progress(**changes: Any) -> Progress:
     values: dict[str, Any] = {
         "phase": "training", "text": "", "version": 7, "updates": 100, "env_steps": 7000, "total_steps": 100_000,
-        "steps_per_s": 2500.0, "train_return": 12.25, "step_reward": 0.75, "staleness": 0.0, "told_s": 0.5,
+        "steps_per_s": 2500.0, "train_return": 12.25, "step_reward": 0.75, "staleness": 0.0, "age_s": 0.5,
     }  # fmt: skip
     return Progress(**values | changes)
 
@@ -29,6 +29,6 @@ def report(**changes: Any) -> RunReport:
         "run": "hopper-ppo-s0-ab12", "task": "hopper", "learner": "ppo", "endpoint": "tcp/127.0.0.1:7447", "t_ns": 5,
         "up_s": 61.0, "progress": progress(), "waiting_for": "", "rollouts_there": 1, "slots": 2,
         "actors": [actor(0), actor(1)], "vacancies": [], "totals": Totals(accepted=82, refused=6, joined=2),
-        "refusals": {}, "turned_away": {}, "last_refusal": None,
+        "refusals": {}, "refused_joins": {}, "last_refusal": None,
     }  # fmt: skip
     return RunReport(**values | changes)

@@ -41,10 +41,9 @@ from common.wire.messages import (
     Snapshot,
     digest_arrays,
 )
-from common.wire.report import RunReport
+from common.wire.report import Progress, RunReport
 from common.wire.session import Request
 from services.learner.endpoints.hub import Hub
-from services.learner.reporting.display import Status
 from services.learner.reporting.evaluations import source_of
 
 RUN = "run-1"
@@ -121,7 +120,7 @@ class Siege:
         self.hub = Hub(RUN, SETTINGS, doors, self.log, lambda *_: None)
         self.hub.begin(_snapshot(0))
         self.hub.open()
-        self.hub.publish_status(STATUS_NOW)
+        self.hub.publish_progress(STATUS_NOW)
         self.hub.ask_for_evaluation(EPISODES)
         self._join_evaluator()
         self._mutator = Mutator(self.seed, self._good())
@@ -326,7 +325,7 @@ class Siege:
         # Repeats are answered `accepted` as well.
         assert totals.accepted + totals.repeated == self.answers["accepted"]
         assert (totals.refused, totals.busy) == (self.answers["refused"], self.answers["busy"])
-        assert sum(report.turned_away.values()) == self.turned_away
+        assert sum(report.refused_joins.values()) == self.turned_away
         self.log.flush(timeout_s=DEADLINE_S)
         logged = 0
         for message in LogReader(self.directory).messages({"/rollout"}):
@@ -341,7 +340,7 @@ class Siege:
 
 HUB_KINDS = ("rollout", "environment", "evaluation", "assessment", "join", "heartbeat", "alive")
 
-STATUS_NOW = Status(
+STATUS_NOW = Progress(
     phase="training", text="", version=0, updates=10, env_steps=0, total_steps=800, steps_per_s=None,
     train_return=None, step_reward=None, staleness=0.0, centres=None, capacity=0, actors=0, slots=2,
 )  # fmt: skip

@@ -6,9 +6,10 @@ read them. A field that this side does not know is ignored, so that a report of 
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+import math
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, computed_field
 
 from common.errors import CodecError
 from common.printable import printable
@@ -16,6 +17,16 @@ from common.printable import printable
 MAX_REPORT_BYTES = 4 << 20
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _finite_or_none(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+# A mean may overflow where all of its terms are finite; JSON has no infinity, and one figure must not hide the others.
+Known = Annotated[Number | None, BeforeValidator(_finite_or_none)]
+"""A figure that is None where it is not known yet, or not finite."""
+
 LONGEST = 4096
 """Characters of a text."""
 
@@ -79,21 +90,42 @@ class Totals(_Part):
 
 
 class Progress(_Part):
-    """How far the run is; None where a number is not known yet."""
+    """The progress of a run at one moment: shown, published and reported."""
 
     phase: Line
     text: Line
+    """What the run waits for; empty where it waits for nothing."""
     version: int
     updates: int
     env_steps: int
     total_steps: int
-    steps_per_s: Number | None
-    train_return: Number | None
-    step_reward: Number | None = None
+    steps_per_s: Known
+    train_return: Known
+    """Mean return of the newest training episodes that ended."""
+    step_reward: Known = None
     """Mean reward of a step of the newest batch."""
     staleness: Number
-    told_s: Number
-    """Seconds since the learner's loop last told this."""
+    centres: int | None = None
+    capacity: int = 0
+    """Centres that the representation holds at most; 0 where the learner has none."""
+    actors: int = 0
+    slots: int = 0
+    age_s: Number = 0.0
+    """Seconds since the learner's loop reported this."""
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def told_s(self) -> float:
+        """The former name of `age_s`, for readers of the JSON."""
+        return self.age_s
+
+    @property
+    def remaining_s(self) -> float | None:
+        """Seconds to the end of the run at its present speed; None where that is not known."""
+        return (self.total_steps - self.env_steps) / self.steps_per_s if self.steps_per_s else None
+
+    def encode(self) -> bytes:
+        return self.model_dump_json().encode()
 
 
 class EvaluationReport(_Part):
@@ -132,12 +164,18 @@ class RunReport(_Part):
     totals: Totals
     refusals: dict[str, dict[str, int]]
     """Messages that were not used: kind of message -> reason -> count."""
-    turned_away: dict[str, int]
-    """Actors that asked to join and got no slot, by reason; one that stands by asks again and again."""
+    refused_joins: dict[str, int]
+    """Requests to join that got no slot, by reason; an actor that stands by repeats its request."""
     last_refusal: RefusalReport | None
     evaluators: int = 0
     """Evaluators that are here."""
     evaluation: EvaluationReport | None = None
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def turned_away(self) -> dict[str, int]:
+        """The former name of `refused_joins`, for readers of the JSON."""
+        return self.refused_joins
 
     def encode(self) -> bytes:
         return self.model_dump_json().encode()

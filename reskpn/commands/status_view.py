@@ -37,10 +37,10 @@ def head(report: RunReport) -> list[str]:
         f"reward {number(progress.step_reward, 2)}",
         f"actors {len(report.actors)}/{report.slots}",
     ]
-    told = f" (told {duration(progress.told_s)} ago)" if progress.told_s > 5.0 else ""
+    old = f" (reported {duration(progress.age_s)} ago)" if progress.age_s > 5.0 else ""
     return [
         f"{name}, up {duration(report.up_s)}",
-        f"{printable(progress.phase)} | {' | '.join(parts)}{told}",
+        f"{printable(progress.phase)} | {' | '.join(parts)}{old}",
         _waits(report),
     ]
 
@@ -65,8 +65,8 @@ def tail(report: RunReport) -> list[str]:
     if report.refusals:
         kinds = (f"{printable(kind)} {_counts(counts)}" for kind, counts in sorted(report.refusals.items()))
         lines.append(f"not used: {'; '.join(kinds)}")
-    if report.turned_away:
-        lines.append(f"turned away: {_counts(report.turned_away)}")
+    if report.refused_joins:
+        lines.append(f"joins refused: {_counts(report.refused_joins)}")
     if (last := report.last_refusal) is not None:
         text = printable(f"last, {duration(last.ago_s)} ago: {last.kind} {last.reason}: {last.text}", 400)
         lines.append(text)

@@ -15,8 +15,9 @@ from common.config.settings import RunSettings
 from common.log.records import encode_json
 from common.log.writer import LogWriter
 from common.wire.messages import Evaluation, Rollout
+from common.wire.report import Progress
 from services.learner.endpoints.hub import Hub
-from services.learner.reporting.display import Display, Status
+from services.learner.reporting.display import Display
 from services.learner.reporting.evaluations import scalars as evaluation_scalars
 from services.learner.reporting.public import public_update
 from services.learner.reporting.scalars import Scalars
@@ -270,7 +271,7 @@ class Run:
         )
 
     def _show(self, phase: str, text: str) -> None:
-        status = Status(
+        progress = Progress(
             phase=phase,
             text=text,
             version=self._trainer.version,
@@ -286,8 +287,8 @@ class Run:
             actors=self._hub.actors(),
             slots=self._settings.actors,
         )
-        self._display.show(status)
-        self._hub.publish_status(status)
+        self._display.show(progress)
+        self._hub.publish_progress(progress)
         self.draw_evaluations()
 
 

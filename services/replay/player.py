@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict
 
 from common.log.reader import LogMessage
-from common.log.records import encode_json
 from common.runs.recorded_run import RecordedRun, RecordedUpdate
 from common.wire.keys import Keys
 from common.wire.messages import Orders, Rollout, Snapshot
+from common.wire.report import Progress
 from common.wire.session import Publisher, Session
-from services.learner.reporting.display import Status
 from services.learner.reporting.statistics import Episodes, TrainingReturn, step_reward
 
 
@@ -61,7 +59,7 @@ class Player:
         settings = self._run.settings
         self._returns.add(update.version, Episodes.of(update.rollouts))
         trained_s = (update.t_ns - (self._began_ns or update.t_ns)) / 1e9
-        status = Status(
+        progress = Progress(
             phase="training",
             text="replayed from the log",
             version=update.version,
@@ -77,7 +75,7 @@ class Player:
             actors=len({rollout.slot for rollout in update.rollouts}),
             slots=settings.actors,
         )
-        self._status.put(encode_json(asdict(status)))
+        self._status.put(progress.encode())
 
     def _announce(self, *, finished: bool) -> None:
         snapshot = Snapshot.decode(self._snapshot)

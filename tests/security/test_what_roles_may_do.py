@@ -140,7 +140,7 @@ def test_metrics_are_for_viewers(run: Run, role: str) -> None:
     run.attacker.session.subscribe(KEYS.status, lambda key, data: heard.put(key))
     settled(run)
     run.learner.hub.publish_metrics(b"{}")
-    run.learner.hub.publish_status(STATUS_NOW)
+    run.learner.hub.publish_progress(STATUS_NOW)
     if role == "actor":
         settled(run)
         assert heard.empty()

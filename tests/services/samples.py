@@ -9,12 +9,12 @@ from mirrors import no_mirror
 
 from common.config.settings import RunSettings
 from common.wire.messages import Evaluation, Heartbeat, Join, Rollout, Snapshot, digest_arrays
-from services.learner.reporting.display import Status
+from common.wire.report import Progress
 
 RUN = "run-1"
 
 
-STATUS_NOW = Status(
+STATUS_NOW = Progress(
     phase="training", text="", version=5, updates=10, env_steps=60, total_steps=120, steps_per_s=30.0,
     train_return=8.5, step_reward=0.25, staleness=0.0, centres=5, capacity=10, actors=2, slots=2,
 )  # fmt: skip

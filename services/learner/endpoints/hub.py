@@ -8,12 +8,10 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import asdict
 from functools import partial
 
 from common.config.settings import RunSettings
 from common.errors import CodecError
-from common.log.records import encode_json
 from common.log.writer import LogWriter
 from common.printable import printable
 from common.wire.keys import JOIN, STATUS, Keys, parse_alive
@@ -24,7 +22,7 @@ from common.wire.messages import (
     Rollout,
     Snapshot,
 )
-from common.wire.report import RunReport
+from common.wire.report import Progress, RunReport
 from common.wire.session import Request, Session
 from services.learner.endpoints.admission import check_evaluation, check_heartbeat
 from services.learner.endpoints.environments import EnvironmentHandler
@@ -32,7 +30,6 @@ from services.learner.endpoints.evaluators import EvaluatorHandler
 from services.learner.endpoints.joins import JoinHandler
 from services.learner.endpoints.monitor import RunMonitor
 from services.learner.endpoints.rollouts import RolloutHandler
-from services.learner.reporting.display import Status
 from services.learner.scheduling.fleet import Fleet, gathering_of
 from services.learner.scheduling.slots import ACCEPTED, Start
 
@@ -196,11 +193,11 @@ class Hub:
     def publish_metrics(self, data: bytes) -> None:
         self._metrics.put(data)
 
-    def publish_status(self, status: Status) -> None:
-        """Tell it to those who subscribe, and keep it for those who ask."""
+    def publish_progress(self, progress: Progress) -> None:
+        """Publish the progress for subscribers, and keep it for reports."""
         with self._changed:
-            self._monitor.told(status, time.monotonic())
-        self._status.put(encode_json(asdict(status)))
+            self._monitor.progressed(progress, time.monotonic())
+        self._status.put(progress.encode())
 
     def report(self) -> RunReport:
         """The run and all its actors at this moment."""

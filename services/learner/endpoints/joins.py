@@ -57,12 +57,12 @@ class JoinHandler:
         self._changed = changed
         self._on_refused = on_refused
         self._on_event = on_event
-        self._turned_away_s = -ASK_AGAIN_S
+        self._refused_s = -ASK_AGAIN_S
 
     def standing_by(self) -> bool:
         """Whether actors wait for a slot: they ask again and again, and have yet to hear that the run is over."""
         with self._changed:
-            return time.monotonic() - self._turned_away_s < ASK_AGAIN_S
+            return time.monotonic() - self._refused_s < ASK_AGAIN_S
 
     def on_request(self, request: Request) -> None:
         """A handler of the session: never waits."""
@@ -75,7 +75,7 @@ class JoinHandler:
             reply = self._no("malformed", str(error), final=True)
         except RefusedError as error:
             with self._changed:
-                self._turned_away_s = time.monotonic()
+                self._refused_s = time.monotonic()
             reply = self._no("no_slot", str(error), final=False)
         request.reply(reply.encode())
 
@@ -113,5 +113,5 @@ class JoinHandler:
 
     def _no(self, slug: str, reason: str, *, final: bool) -> JoinReply:
         with self._changed:
-            self._monitor.turned_away(slug)
+            self._monitor.join_refused(slug)
         return JoinReply(False, reason, final, self._run, 0, 0, "")

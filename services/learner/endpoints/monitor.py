@@ -7,13 +7,12 @@ grows with the number of messages: reasons and kinds are words of this program, 
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 from common.config.settings import RunSettings
 from common.printable import printable, shortened
 from common.wire.messages import PushReply
 from common.wire.report import LONGEST, ActorReport, Progress, RefusalReport, RunReport, Totals, VacancyReport
-from services.learner.reporting.display import Status
 from services.learner.scheduling.fleet import Fleet, Member
 
 KEPT_VERSIONS = 256
@@ -47,10 +46,10 @@ class RunMonitor:
         self._began_s = now_s
         self._places = [Place(now_s) for _ in range(settings.actors)]
         self._published: deque[tuple[int, float]] = deque(maxlen=KEPT_VERSIONS)
-        self._status: tuple[Status, float] | None = None
+        self._progress: tuple[Progress, float] | None = None
         self._answers: Counter[str] = Counter()
         self._refused: dict[str, Counter[str]] = {}
-        self._turned_away: Counter[str] = Counter()
+        self._refused_joins: Counter[str] = Counter()
         self._last: _Refusal | None = None
 
     # -- what happens --------------------------------------------------------------------------------------
@@ -63,16 +62,16 @@ class RunMonitor:
     def left(self, slot: int, now_s: float) -> None:
         self._places[slot] = Place(now_s)
 
-    def turned_away(self, reason: str) -> None:
-        """Somebody asked to join and got no slot."""
-        self._turned_away[reason] += 1
+    def join_refused(self, reason: str) -> None:
+        """Count a request to join that got no slot."""
+        self._refused_joins[reason] += 1
 
     def published(self, version: int, now_s: float) -> None:
         self._published.append((version, now_s))
 
-    def told(self, status: Status, now_s: float) -> None:
-        """What the learner's loop shows at this moment."""
-        self._status = (status, now_s)
+    def progressed(self, progress: Progress, now_s: float) -> None:
+        """Record the progress that the learner's loop reports at this moment."""
+        self._progress = (progress, now_s)
 
     def answered(self, key: str, reply: PushReply, now_s: float) -> None:
         """A rollout pushed on `key` got this answer without being used: refused, busy, or accepted as a repeat."""
@@ -117,7 +116,7 @@ class RunMonitor:
             endpoint=self._settings.transport.endpoint,
             t_ns=t_ns,
             up_s=now_s - self._began_s,
-            progress=self._progress(now_s),
+            progress=self._aged_progress(now_s),
             waiting_for=printable(waiting_for, LONGEST),
             rollouts_there=fleet.taken,
             slots=len(self._places),
@@ -125,16 +124,15 @@ class RunMonitor:
             vacancies=[self._vacancy(slot, fleet, now_s) for slot in free],
             totals=Totals(**self._answers, joined=fleet.counts.joined, lost=fleet.counts.lost),
             refusals={kind: dict(counts) for kind, counts in self._refused.items()},
-            turned_away=dict(self._turned_away),
+            refused_joins=dict(self._refused_joins),
             last_refusal=self._last_refusal(now_s),
         )
 
-    def _progress(self, now_s: float) -> Progress | None:
-        if self._status is None:
+    def _aged_progress(self, now_s: float) -> Progress | None:
+        if self._progress is None:
             return None
-        status, told_s = self._status
-        told = asdict(status) | {"text": printable(status.text, LONGEST), "told_s": now_s - told_s}
-        return Progress.model_validate(told)
+        progress, reported_s = self._progress
+        return progress.model_copy(update={"text": printable(progress.text, LONGEST), "age_s": now_s - reported_s})
 
     def _actor(self, slot: int, member: Member, now_s: float) -> ActorReport:
         published_s = dict(self._published).get(member.version)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from typing import Protocol
 
 from rich.console import Console, Group
@@ -12,42 +11,15 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from common.wire.report import Progress
+
 PLAIN_PERIOD_S = 5.0
-
-
-@dataclass(frozen=True)
-class Status:
-    """The run at one moment. `text` says what it waits for; None where a number is not known yet.
-
-    `train_return` is of the newest episodes that ended, `step_reward` of every step of the newest batch.
-    """
-
-    phase: str
-    text: str
-    version: int
-    updates: int
-    env_steps: int
-    total_steps: int
-    steps_per_s: float | None
-    train_return: float | None
-    step_reward: float | None
-    staleness: float
-    centres: int | None
-    capacity: int
-    actors: int
-    slots: int
-
-    @property
-    def remaining_s(self) -> float | None:
-        if not self.steps_per_s:
-            return None
-        return (self.total_steps - self.env_steps) / self.steps_per_s
 
 
 class Display(Protocol):
     """Shows a run; `note` is for what should stay on the screen."""
 
-    def show(self, status: Status) -> None: ...
+    def show(self, progress: Progress) -> None: ...
     def note(self, text: str) -> None: ...
     def close(self) -> None: ...
 
@@ -67,13 +39,13 @@ class PlainDisplay:
         self._due_s = 0.0
         self.note(title)
 
-    def show(self, status: Status) -> None:
+    def show(self, progress: Progress) -> None:
         now = time.monotonic()
-        if status.phase == self._phase and now < self._due_s:
+        if progress.phase == self._phase and now < self._due_s:
             return
-        self._phase, self._due_s = status.phase, now + PLAIN_PERIOD_S
-        numbers = (f"{name} {value}" for name, value in _numbers(status).items())
-        self.note(" | ".join(part for part in (status.phase, *numbers, status.text) if part))
+        self._phase, self._due_s = progress.phase, now + PLAIN_PERIOD_S
+        numbers = (f"{name} {value}" for name, value in _numbers(progress).items())
+        self.note(" | ".join(part for part in (progress.phase, *numbers, progress.text) if part))
 
     def note(self, text: str) -> None:
         self._console.print(text, soft_wrap=True, markup=False)
@@ -91,17 +63,17 @@ class LiveDisplay:
         self.note(title)
         self._live.start()
 
-    def show(self, status: Status) -> None:
+    def show(self, progress: Progress) -> None:
         bar = Table.grid(padding=(0, 1))
-        done = f"{status.env_steps / max(1, status.total_steps):4.0%}"
+        done = f"{progress.env_steps / max(1, progress.total_steps):4.0%}"
         bar.add_row(
-            Text(f"{status.phase:<10}", style="bold"),
-            ProgressBar(total=status.total_steps, completed=status.env_steps, width=36),
+            Text(f"{progress.phase:<10}", style="bold"),
+            ProgressBar(total=progress.total_steps, completed=progress.env_steps, width=36),
             Text(done),
-            Text(_duration(status.remaining_s)),
+            Text(_duration(progress.remaining_s)),
         )
-        numbers = Text(" · ".join(f"{name} {value}" for name, value in _numbers(status).items()), style="cyan")
-        self._live.update(Group(bar, numbers, Text(status.text, style="dim")))
+        numbers = Text(" · ".join(f"{name} {value}" for name, value in _numbers(progress).items()), style="cyan")
+        self._live.update(Group(bar, numbers, Text(progress.text, style="dim")))
 
     def note(self, text: str) -> None:
         self._console.print(text, soft_wrap=True, markup=False)
@@ -110,18 +82,18 @@ class LiveDisplay:
         self._live.stop()
 
 
-def _numbers(status: Status) -> dict[str, str]:
+def _numbers(progress: Progress) -> dict[str, str]:
     numbers = {
-        "update": f"{status.version}/{status.updates}",
-        "steps": f"{status.env_steps:,}",
-        "steps/s": "-" if status.steps_per_s is None else f"{status.steps_per_s:,.0f}",
-        "return": "-" if status.train_return is None else f"{status.train_return:,.1f}",
-        "reward": "-" if status.step_reward is None else f"{status.step_reward:,.2f}",
-        "staleness": f"{status.staleness:g}",
-        "actors": f"{status.actors}/{status.slots}",
+        "update": f"{progress.version}/{progress.updates}",
+        "steps": f"{progress.env_steps:,}",
+        "steps/s": "-" if progress.steps_per_s is None else f"{progress.steps_per_s:,.0f}",
+        "return": "-" if progress.train_return is None else f"{progress.train_return:,.1f}",
+        "reward": "-" if progress.step_reward is None else f"{progress.step_reward:,.2f}",
+        "staleness": f"{progress.staleness:g}",
+        "actors": f"{progress.actors}/{progress.slots}",
     }
-    if status.capacity:
-        numbers["centres"] = "-" if status.centres is None else f"{status.centres}/{status.capacity}"
+    if progress.capacity:
+        numbers["centres"] = "-" if progress.centres is None else f"{progress.centres}/{progress.capacity}"
     return numbers
 
 

@@ -15,12 +15,12 @@ ACTOR = ActorReport(
 )  # fmt: skip
 PROGRESS = Progress(
     phase="training", text="", version=3, updates=9, env_steps=300, total_steps=900, steps_per_s=None,
-    train_return=1.5, step_reward=0.5, staleness=0.0, told_s=0.2,
+    train_return=1.5, step_reward=0.5, staleness=0.0, age_s=0.2,
 )  # fmt: skip
 REPORT = RunReport(
     run="r", task="hopper", learner="ppo", endpoint="tcp/127.0.0.1:7447", t_ns=5, up_s=60.0, progress=PROGRESS,
     waiting_for="", rollouts_there=1, slots=2, actors=[ACTOR], vacancies=[VacancyReport(slot=1, lost=True, for_s=2.0)],
-    totals=Totals(accepted=4, joined=2, lost=1), refusals={"rollout": {"stale": 3}}, turned_away={"no_slot": 7},
+    totals=Totals(accepted=4, joined=2, lost=1), refusals={"rollout": {"stale": 3}}, refused_joins={"no_slot": 7},
     last_refusal=RefusalReport(kind="rollout", reason="stale", text="old", ago_s=1.0),
 )  # fmt: skip
 
@@ -70,3 +70,17 @@ def test_a_report_that_is_too_large_is_not_read() -> None:
     with pytest.raises(CodecError, match="a report of") as caught:
         RunReport.decode(b" " * (MAX_REPORT_BYTES + 1))
     assert caught.value.reason == "too_large"
+
+
+def test_former_names_stay_readable_in_the_json() -> None:
+    """`told_s` is `age_s`, and `turned_away` is `refused_joins`."""
+    told = json.loads(REPORT.encode())
+    assert (told["progress"]["told_s"], told["progress"]["age_s"]) == (0.2, 0.2)
+    assert told["turned_away"] == told["refused_joins"] == {"no_slot": 7}
+
+
+def test_a_figure_that_is_not_finite_is_not_known() -> None:
+    """JSON has no infinity: a mean that overflows leaves the rest of the report readable."""
+    shown = Progress(**PROGRESS.model_dump(exclude={"told_s"}) | {"train_return": float("inf")})
+    assert shown.train_return is None
+    assert json.loads(shown.encode())["train_return"] is None

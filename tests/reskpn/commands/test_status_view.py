@@ -29,8 +29,8 @@ def test_the_run_in_three_lines() -> None:
 
 def test_a_learner_that_is_at_work() -> None:
     """It waits for nothing; how old the figures are is said once it matters."""
-    lines = head(report(progress=progress(told_s=75.0)))
-    assert lines[1].endswith("actors 2/2 (told 75 s ago)")
+    lines = head(report(progress=progress(age_s=75.0)))
+    assert lines[1].endswith("actors 2/2 (reported 75 s ago)")
     assert lines[2] == "all rollouts are there: the learner is at work"
 
 
@@ -80,14 +80,14 @@ def test_what_was_not_used() -> None:
         report(
             totals=Totals(accepted=1200, refused=5, busy=2, repeated=1, joined=4, lost=2),
             refusals={"rollout": {"stale": 2, "bad_shape": 3}, "heartbeat": {"incarnation": 1}},
-            turned_away={"no_slot": 9},
+            refused_joins={"no_slot": 9},
             last_refusal=last,
         )
     )
     assert lines == [
         "rollouts: 1,200 accepted, 5 refused, 2 busy, 1 repeated; actors: 4 joined, 2 lost",
         "not used: heartbeat incarnation 1; rollout bad_shape 3, stale 2",
-        "turned away: no_slot 9",
+        "joins refused: no_slot 9",
         "last, 3.0 s ago: rollout bad_shape: obs has shape (1,)",
     ]
 

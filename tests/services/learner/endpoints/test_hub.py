@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
 from queue import Queue
 from typing import Any
 
@@ -12,7 +11,6 @@ from hub_sides import DEADLINE_S, KEYS, Actor, Learner
 from samples import RUN, STATUS_NOW, evaluation, heartbeat, question, rollout, snapshot
 
 from common.config.sources import parse_json
-from common.log.records import encode_json
 from common.wire import codec
 from common.wire.keys import JOIN
 from common.wire.messages import JoinReply, Orders, PushReply, Snapshot
@@ -244,13 +242,13 @@ def test_metrics_and_status_are_published(
     heard: Queue[tuple[str, bytes]] = Queue()
     actor.session.subscribe(KEYS.metrics, lambda *sample: heard.put(sample))
     actor.session.subscribe(KEYS.status, lambda *sample: heard.put(sample))
-    wanted = {(KEYS.metrics, b'{"a":1}'), (KEYS.status, encode_json(asdict(STATUS_NOW)))}
+    wanted = {(KEYS.metrics, b'{"a":1}'), (KEYS.status, STATUS_NOW.encode())}
     found: set[tuple[str, bytes]] = set()
 
     def both() -> bool:
         # Until the subscriptions have reached the learner, what it publishes goes to nobody.
         learner.hub.publish_metrics(b'{"a":1}')
-        learner.hub.publish_status(STATUS_NOW)
+        learner.hub.publish_progress(STATUS_NOW)
         while not heard.empty():
             found.add(heard.get())
         return found == wanted

@@ -21,7 +21,7 @@ def test_a_report_is_answered_to_whoever_asks(
         return RunReport.decode(actor.ask(STATUS, b""))
 
     assert report().progress is None
-    learner.hub.publish_status(STATUS_NOW)
+    learner.hub.publish_progress(STATUS_NOW)
     actor.join("a")
     actor.session.publisher(KEYS.heartbeat(0)).put(heartbeat(0, "a", "collecting", steps_per_s=50.0).encode())
     until(lambda: report().actors[0].state == "collecting")
@@ -43,7 +43,7 @@ def test_a_report_is_answered_to_whoever_asks(
     assert found.last_refusal.text == "made with policy 7; policy 0 is wanted"
     assert [(vacancy.slot, vacancy.lost) for vacancy in found.vacancies] == [(1, False)]
     # The fixture asked to join another run, once or more, to see whether the learner is there.
-    assert set(found.turned_away) == {"run"}
+    assert set(found.refused_joins) == {"run"}
 
 
 def test_heartbeats_of_others_are_counted(

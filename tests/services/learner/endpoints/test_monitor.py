@@ -91,10 +91,10 @@ def test_a_new_incarnation_starts_at_zero(census: RunMonitor, fleet: Fleet) -> N
 def test_what_the_loop_told_last(census: RunMonitor, fleet: Fleet) -> None:
     """With its age; nothing before it has told anything."""
     assert report(census, fleet).progress is None
-    census.told(STATUS_NOW, 102.0)
+    census.progressed(STATUS_NOW, 102.0)
     progress = report(census, fleet).progress
     assert progress is not None
-    assert (progress.phase, progress.version, progress.told_s) == ("training", 5, 1.0)
+    assert (progress.phase, progress.version, progress.age_s) == ("training", 5, 1.0)
     assert (progress.train_return, progress.step_reward) == (8.5, 0.25)
 
 
@@ -102,11 +102,11 @@ def test_refusals_by_kind_and_by_reason(census: RunMonitor, fleet: Fleet) -> Non
     """The same reason of two kinds is one in the sum."""
     census.refused("join", "schema", "old", 102.0)
     census.refused("heartbeat", "schema", "old", 102.0)
-    census.turned_away("no_slot")
+    census.join_refused("no_slot")
     assert census.refusals() == {"schema": 2}
     found = report(census, fleet)
     assert found.refusals == {"join": {"schema": 1}, "heartbeat": {"schema": 1}}
-    assert found.turned_away == {"no_slot": 1}
+    assert found.refused_joins == {"no_slot": 1}
 
 
 def test_texts_of_others_are_made_fit(census: RunMonitor, fleet: Fleet) -> None:

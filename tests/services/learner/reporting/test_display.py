@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import io
 from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
+from common.wire.report import Progress
 from services.learner.reporting import display
-from services.learner.reporting.display import PLAIN_PERIOD_S, LiveDisplay, PlainDisplay, Status, make_display
+from services.learner.reporting.display import PLAIN_PERIOD_S, LiveDisplay, PlainDisplay, make_display
 
-STATUS = Status(
+STATUS = Progress(
     phase="training",
     text="",
     version=12,
@@ -28,14 +28,15 @@ STATUS = Status(
     actors=1,
     slots=2,
 )
-UNKNOWN = dataclasses.replace(
-    STATUS,
-    phase="starting",
-    text="waiting for 2 of 2 rollouts",
-    steps_per_s=None,
-    train_return=None,
-    step_reward=None,
-    centres=None,
+UNKNOWN = STATUS.model_copy(
+    update=dict(
+        phase="starting",
+        text="waiting for 2 of 2 rollouts",
+        steps_per_s=None,
+        train_return=None,
+        step_reward=None,
+        centres=None,
+    )
 )
 
 
@@ -66,7 +67,7 @@ def test_a_plain_line_has_all_numbers() -> None:
 def test_what_is_not_known_is_a_dash() -> None:
     """And the text says what is waited for. A learner without an expansion shows no centres."""
     shown, out = plain()
-    shown.show(dataclasses.replace(UNKNOWN, capacity=0))
+    shown.show(UNKNOWN.model_copy(update=dict(capacity=0)))
     assert out.getvalue().splitlines()[1] == (
         "starting | update 12/100 | steps 12,000 | steps/s - | return - | reward - | staleness 0 | actors 1/2 "
         "| waiting for 2 of 2 rollouts"
@@ -79,8 +80,8 @@ def test_plain_lines_come_with_the_phase_and_every_few_seconds(clock: SimpleName
     times = [0.0, 1.0, PLAIN_PERIOD_S - 0.01, PLAIN_PERIOD_S, PLAIN_PERIOD_S + 1.0]
     for version, passed in enumerate(times):
         clock.now = 100.0 + passed
-        shown.show(dataclasses.replace(STATUS, version=version))
-    shown.show(dataclasses.replace(STATUS, version=9, phase="evaluating"))
+        shown.show(STATUS.model_copy(update=dict(version=version)))
+    shown.show(STATUS.model_copy(update=dict(version=9, phase="evaluating")))
     # Version 0 is the first, 3 the first after the period, 9 another phase.
     assert [line.split(" | ")[1] for line in out.getvalue().splitlines()[1:]] == [
         "update 0/100",
@@ -109,7 +110,7 @@ def test_a_live_display_shows_the_same_numbers() -> None:
     out = io.StringIO()
     shown = LiveDisplay(Console(file=out, force_terminal=True, width=140, color_system=None), "the title")
     shown.note("[a note]")
-    shown.show(dataclasses.replace(UNKNOWN, env_steps=0))
+    shown.show(UNKNOWN.model_copy(update=dict(env_steps=0)))
     shown.show(STATUS)
     shown.close()
     text = out.getvalue()
