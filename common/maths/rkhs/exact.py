@@ -20,7 +20,7 @@ class Exact(OfKernels[Momentum]):
     """h as the paper has it. `capacity` is the budget; n must be within it.
 
     The oldest centre goes, not the one with the smallest weight: features move on while psi is trained, and old
-    centres are where features no longer are (docs/decisions/0010-the-oldest-centre-gives-way.md).
+    centres are where features no longer are (docs/decisions/0010-evict-the-oldest-centre.md).
     """
 
     def empty(self, feature_size: int, action_size: int) -> tuple[Expansion, Momentum]:
