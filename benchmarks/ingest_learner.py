@@ -57,7 +57,7 @@ class Server:
         self._log = log
         self._arrays = to_arrays(PolicyReader(settings).template)
         self.version = 0
-        self.snapshot_bytes = len(hub.begin(make_snapshot(RUN, 0, self._arrays), collect=False))
+        self.snapshot_bytes = len(hub.publish(make_snapshot(RUN, 0, self._arrays), collect=False))
 
     def measure(self, seconds: float) -> Ingest:
         """Idle for so long, then busy for so long. ProcessError where the actors do not come."""
@@ -85,7 +85,7 @@ class Server:
     def _next(self) -> list[Rollout]:
         """Publish the next version, and take its rollouts as the learner's loop does."""
         self.version += 1
-        self._hub.begin(make_snapshot(RUN, self.version, self._arrays))
+        self._hub.publish(make_snapshot(RUN, self.version, self._arrays))
         deadline_s = time.monotonic() + JOIN_S
         while (rollouts := self._hub.rollouts(TICK_S)) is None:
             self._hub.announce()

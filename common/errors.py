@@ -20,6 +20,9 @@ alone, without a traceback, and exits with the class's `exit_code`.
 
 from __future__ import annotations
 
+INTERRUPTED = 130
+"""Exit code of a command that was asked to stop, as a shell reports Ctrl-C."""
+
 
 class ReskpnError(Exception):
     """Root of the tree: everything this package raises on purpose."""

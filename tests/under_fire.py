@@ -118,7 +118,7 @@ class Siege:
         self._doors = Doors()
         doors: Any = self._doors
         self.hub = Hub(RUN, SETTINGS, doors, self.log, lambda *_: None)
-        self.hub.begin(_snapshot(0))
+        self.hub.publish(_snapshot(0))
         self.hub.open()
         self.hub.publish_progress(STATUS_NOW)
         self.hub.ask_for_evaluation(EPISODES)
@@ -161,7 +161,7 @@ class Siege:
             self._doors.watched[KEYS.all_alive](KEYS.alive("actor", incarnation), False)
         assert self.hub.actors() == 0
         self.version += 1
-        self.hub.begin(_snapshot(self.version))
+        self.hub.publish(_snapshot(self.version))
         self.names = [f"{self.version}-{slot}" for slot in range(SETTINGS.actors)]
         self.generations = {}
         for slot, name in enumerate(self.names):
@@ -176,7 +176,7 @@ class Siege:
         assert batch is not None
         assert [rollout.incarnation for rollout in batch] == self.names
         self.version += 1
-        self.hub.begin(_snapshot(self.version))
+        self.hub.publish(_snapshot(self.version))
         self._mutator.messages = self._good()
 
     def _join_evaluator(self) -> None:

@@ -10,10 +10,14 @@ from typing import Any
 
 from common.config.settings import RunSettings
 from common.errors import SettingsError
+from common.log.segments import LOG_DIRECTORY
 
 SUMMARY = "summary.json"
 SETTINGS = "settings.json"
-LOG = "log"
+TENSORBOARD = "tensorboard"
+
+KEPT_CHECKPOINTS = 3
+"""Checkpoints that a run keeps: the newest."""
 
 RUNS = Path("runs")
 """Where runs are kept by default."""
@@ -34,7 +38,7 @@ def claim_run_dir(settings: RunSettings) -> Path:
     run_dir = settings.run_dir or default_run_dir(settings)
     try:
         run_dir.mkdir(parents=True, exist_ok=True)
-        taken = [name for name in (SUMMARY, SETTINGS, LOG) if (run_dir / name).exists()]
+        taken = [name for name in (SUMMARY, SETTINGS, LOG_DIRECTORY) if (run_dir / name).exists()]
     except OSError as error:
         raise _cannot_write(run_dir, error) from None
     if taken:

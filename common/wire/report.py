@@ -16,6 +16,9 @@ from common.printable import printable
 
 MAX_REPORT_BYTES = 4 << 20
 
+LATE_S = 1.5
+"""An actor not heard from for so long has missed two heartbeats."""
+
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
 

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from common.config.settings import RunSettings, TransportSettings
-from common.errors import SettingsError
+from common.errors import INTERRUPTED, SettingsError
 from common.runs.ahead import ahead
 from common.runs.directory import SUMMARY, claim_run_dir, default_run_dir
 from common.runs.origins import bits_can_differ, differences
@@ -17,9 +17,6 @@ from common.runs.recorded_run import RecordedRun, open_run, origin
 
 LINES = 10
 """Lines of metrics that are printed while a second learner trains."""
-
-INTERRUPTED = 130
-"""Exit code of a replay that was asked to stop, as a shell reports Ctrl-C."""
 
 DIVERGED = 1
 """Exit code of a verification that did not come by the recorded states."""

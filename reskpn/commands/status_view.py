@@ -7,9 +7,8 @@ from rich.table import Table
 from rich.text import Text
 
 from common.printable import printable
-from common.wire.report import ActorReport, RunReport, VacancyReport
+from common.wire.report import LATE_S, ActorReport, RunReport, VacancyReport
 
-LATE_S = 1.5
 COLUMNS = (
     "slot", "actor", "host", "state", "engine", "policy", "age", "steps/s", "heard", "accepted", "refused", "busy",
     "again",

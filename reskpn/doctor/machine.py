@@ -14,7 +14,8 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 from common.config.settings import RunSettings
-from common.runs.directory import LOG, SETTINGS, SUMMARY
+from common.log.segments import LOG_DIRECTORY
+from common.runs.directory import SETTINGS, SUMMARY
 from reskpn.doctor.findings import Finding, size
 from reskpn.doctor.needs import Needs
 
@@ -94,7 +95,7 @@ def available_memory() -> float | None:
 def check_disk(settings: RunSettings, needs: Needs) -> Finding:
     """Space where the run directory will be, against what the run will write."""
     folder = home(settings)
-    if settings.run_dir and any((settings.run_dir / name).exists() for name in (SUMMARY, SETTINGS, LOG)):
+    if settings.run_dir and any((settings.run_dir / name).exists() for name in (SUMMARY, SETTINGS, LOG_DIRECTORY)):
         return Finding("disk", "warning", f"{settings.run_dir} holds a run", "a new run needs another --run-dir")
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         return Finding("disk", "problem", f"{folder} cannot be written", "choose another place with --run-dir")

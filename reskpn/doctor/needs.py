@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from common.config.settings import RunSettings
+from common.runs.directory import KEPT_CHECKPOINTS
 from common.runs.rollout_shape import rollout_shape
 
-KEPT_CHECKPOINTS = 3
 UPDATE_BYTES = 8_000
 """Records of one update in the log and the curves, without its rollouts."""
 

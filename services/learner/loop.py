@@ -9,83 +9,57 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass
 
 from common.config.settings import RunSettings
 from common.log.records import encode_json
-from common.log.writer import LogWriter
 from common.wire.messages import Evaluation, Rollout
 from common.wire.report import Progress
 from services.learner.endpoints.hub import Hub
-from services.learner.reporting.display import Display
 from services.learner.reporting.evaluations import scalars as evaluation_scalars
+from services.learner.reporting.outlets import Outlets
 from services.learner.reporting.public import public_update
-from services.learner.reporting.scalars import Scalars
-from services.learner.reporting.statistics import Episodes, actor_seconds, step_reward
+from services.learner.reporting.statistics import Episodes, step_reward
+from services.learner.reporting.summary import Outcome
+from services.learner.reporting.updates import AppliedUpdate
 from services.learner.resume.resumed_replay import ResumedReplay
 from services.learner.training.checkpoints import Checkpoints, KeptEnvironments
 from services.learner.training.snapshots import make_snapshot
 from services.learner.training.trainer import Trainer
 
 TICK_S = 0.5
-"""How often a waiting learner repeats its orders and looks after its actors."""
+"""How often a waiting learner repeats its orders and checks on its actors."""
 
 FLUSH_S = 60.0
-"""How long the log may take to be written before environments are kept."""
+"""Time allowed for the log to be written before environments are kept."""
 
-FAREWELL_S = 3.0
-"""How long actors are given to hear that the run is over."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """One update and what went into it. `seconds` is by phase; `log` ran beside the others."""
-
-    version: int
-    digest: str
-    rollouts: list[Rollout]
-    metrics: dict[str, float]
-    seconds: dict[str, float]
-    logged: bool
-    """Whether a resumed run's log has it already."""
-
-    @property
-    def staleness(self) -> dict[str, float]:
-        """Versions between the policies that made the rollouts and the one that was updated: min, mean, max."""
-        behind = [self.version - 1 - rollout.policy_version for rollout in self.rollouts]
-        return {"min": min(behind), "mean": sum(behind) / len(behind), "max": max(behind)}
+SHUTDOWN_S = 3.0
+"""Time that actors are given to leave after the shutdown notice."""
 
 
-class Run:
-    """One training run from its first version to its last."""
+class TrainingLoop:
+    """Takes one run from its first version to its last."""
 
     def __init__(
         self,
-        run: str,
         settings: RunSettings,
         trainer: Trainer,
         hub: Hub,
-        log: LogWriter,
-        display: Display,
-        scalars: Scalars,
-        stop: threading.Event,
+        outlets: Outlets,
         checkpoints: Checkpoints,
         resumed_replay: ResumedReplay,
+        stop: threading.Event,
     ) -> None:
-        self._run = run
         self._settings = settings
         self._trainer = trainer
         self._hub = hub
-        self._log = log
-        self._display = display
-        self._scalars = scalars
-        self._stop = stop
+        self._outlets = outlets
         self._checkpoints = checkpoints
         self._resumed_replay = resumed_replay
-        self.returns = resumed_replay.returns(settings.updates)
-        self.physics: set[str] = set()
-        self.digest = trainer.digest()
-        self.trained_s = 0.0
+        self._stop = stop
+        self._returns = resumed_replay.returns(settings.updates)
+        self._physics: set[str] = set()
+        self._digest = trainer.digest()
+        self._trained_s = 0.0
         self._began_s: float | None = None
         self._began_version = 0
         self._centres = 0
@@ -101,16 +75,46 @@ class Run:
     def steps_per_s(self) -> float | None:
         """Environment steps a second since the first new rollout was begun; None before the first update of it."""
         steps = (self._trainer.version - self._began_version) * self._settings.batch_size
-        return steps / self.trained_s if self.trained_s else None
+        return steps / self._trained_s if self._trained_s else None
+
+    @property
+    def outcome(self) -> Outcome:
+        """The run's figures up to now."""
+        return Outcome(
+            complete=self._trainer.version == self._settings.updates,
+            env_steps=self.env_steps,
+            steps_per_s=self.steps_per_s,
+            returns=self._returns,
+            physics=frozenset(self._physics),
+            digest=self._digest,
+        )
 
     def train(self) -> bool:
-        """All updates; whether they were all made (else the run was asked to stop)."""
-        self._publish()
+        """Make all updates. Returns False where the run was asked to stop before the last."""
+        self.publish()
         self._hub.open()
         self._compile()
-        for step in self._steps():
-            self._record(step)
+        for update in self._updates():
+            self._record(update)
         return self._trainer.version == self._settings.updates
+
+    def publish(self) -> bytes:
+        """Publish the newest policy and say what is to be collected with it; returns the snapshot's bytes."""
+        version = self._trainer.version
+        snapshot = make_snapshot(self._checkpoints.run, version, self._trainer.policy_arrays())
+        collect = version < self._settings.updates
+        # In async mode a resumed run does not act again, so environments are not needed.
+        hand_in = collect and self._settings.mode == "sync" and self._is_checkpoint(version)
+        if not self._resumed_replay.reaches(version):
+            return self._hub.publish(snapshot, collect=collect, hand_in=hand_in)
+        left = self._resumed_replay.remaining(version)
+        return self._hub.publish(
+            snapshot,
+            collect=collect and left.collect,
+            hand_in=hand_in and left.hand_in,
+            logged=left.logged,
+            settled=left.settled,
+        )
 
     def evaluate(self) -> Evaluation | None:
         """The final policy without exploration noise, by one of the actors; None where stopped or not wanted."""
@@ -127,7 +131,7 @@ class Run:
 
     def dismiss(self) -> None:
         """Tell the actors that the run is over, and give them a moment to leave."""
-        deadline = time.monotonic() + FAREWELL_S
+        deadline = time.monotonic() + SHUTDOWN_S
         while True:
             self._hub.finish()
             if not (self._hub.actors() or self._hub.standing_by()) or time.monotonic() > deadline:
@@ -135,13 +139,13 @@ class Run:
             time.sleep(0.1)
 
     def draw_evaluations(self) -> None:
-        """Add what evaluators have brought to the curves."""
+        """Add what evaluators have sent to the curves."""
         for record in self._hub.evaluators.fresh():
-            self._scalars.add(record["env_steps"], evaluation_scalars(record))
+            self._outlets.scalars.add(record["env_steps"], evaluation_scalars(record))
 
     # -- the loop ------------------------------------------------------------------------------------------
 
-    def _steps(self) -> Iterator[Step]:
+    def _updates(self) -> Iterator[AppliedUpdate]:
         while self._trainer.version < self._settings.updates:
             asked_s = time.monotonic()
             rollouts = self._collect()
@@ -155,13 +159,13 @@ class Run:
             environments = self._hub.environments.kept()
             metrics = self._trainer.update(rollouts)
             updated_s = time.monotonic()
-            snapshot = self._publish()
+            snapshot = self.publish()
             published_s = time.monotonic()
-            self.trained_s = 0.0 if self._began_s is None else updated_s - self._began_s
+            self._trained_s = 0.0 if self._began_s is None else updated_s - self._began_s
             version = self._trainer.version
-            # The actors are at work again; what follows costs the run nothing.
-            self.digest = self._trainer.digest()
-            self._resumed_replay.check(version, self.digest)
+            # The actors are at work by now; the time that the rest takes is hidden behind theirs.
+            self._digest = self._trainer.digest()
+            self._resumed_replay.check(version, self._digest)
             self._keep(version, snapshot, environments)
             seconds = {
                 "wait": got_s - asked_s,
@@ -170,24 +174,28 @@ class Run:
                 "record": time.monotonic() - published_s,
                 "log": self._log_seconds(),
             }
-            yield Step(version, self.digest, rollouts, metrics, seconds | _prefixed(actor_seconds(rollouts)), logged)
+            yield AppliedUpdate(version, self.env_steps, self._digest, rollouts, metrics, seconds, logged)
 
     def _keep(self, version: int, snapshot: bytes, environments: KeptEnvironments | None) -> None:
-        """Policy, checkpoint, and the environments of the version before, which its checkpoint goes on from."""
-        log = self._settings.log
-        last = version == self._settings.updates
-        if (version % log.policy_every == 0 or last) and not self._resumed_replay.holds("/policy", version):
-            self._log.write("/policy", snapshot)
+        """Keep the policy, a checkpoint, and the environments that the checkpoint of the version before needs."""
+        due = version % self._settings.log.policy_every == 0 or version == self._settings.updates
+        if due and not self._resumed_replay.holds("/policy", version):
+            self._outlets.log.write("/policy", snapshot)
         if environments is not None:
-            # Whoever finds them finds the update to their version in the log.
-            self._log.flush(timeout_s=FLUSH_S)
+            # A resumed run takes a checkpoint with environments only if the log has the update that led to it.
+            self._outlets.log.flush(timeout_s=FLUSH_S)
             self._checkpoints.keep_environments(environments)
-        if version % log.checkpoint_every == 0 or last:
+        if self._is_checkpoint(version):
             self._checkpoints.keep(version, self._trainer.state_arrays())
+
+    def _is_checkpoint(self, version: int) -> bool:
+        """Whether the state of this version is kept in a file; version 0 follows from the settings."""
+        due = version > 0 and version % self._settings.log.checkpoint_every == 0
+        return due or version == self._settings.updates
 
     def _log_seconds(self) -> float:
         """Seconds the log's thread was at work since the last call, beside the loop."""
-        before, self._log_busy_s = self._log_busy_s, self._log.busy_s
+        before, self._log_busy_s = self._log_busy_s, self._outlets.log.busy_s
         return self._log_busy_s - before
 
     def _compile(self) -> None:
@@ -196,7 +204,8 @@ class Run:
         with ThreadPoolExecutor(1, "compile") as pool:
             compiled = pool.submit(self._trainer.compile)
             while not compiled.done():
-                self._tick("compiling", f"the update {time.monotonic() - began_s:.0f} s; {self._hub.waiting_for()}")
+                parts = [f"compiling the update for {time.monotonic() - began_s:.0f} s", self._hub.waiting_for()]
+                self._tick("compiling", "; ".join(part for part in parts if part))
                 wait([compiled], TICK_S)
             compiled.result()
 
@@ -217,58 +226,32 @@ class Run:
         self._hub.excuse_absent()
         self._show(phase, text)
 
-    def _publish(self) -> bytes:
-        snapshot = make_snapshot(self._run, self._trainer.version, self._trainer.policy_arrays())
-        return self._resumed_replay.begin(snapshot, self._settings)
-
     # -- what is made of an update -------------------------------------------------------------------------
 
-    def _record(self, step: Step) -> None:
-        episodes = Episodes.of(step.rollouts)
-        self.returns.add(step.version, episodes)
-        self.physics |= self._hub.engines()
-        self._centres = round(step.metrics.get("rkhs/centres", 0))
-        self._staleness = step.staleness["mean"]
-        self._step_reward = step_reward(step.rollouts)
-        if not step.logged:
-            self._write(step, episodes)
+    def _record(self, update: AppliedUpdate) -> None:
+        episodes = Episodes.of(update.rollouts)
+        self._returns.add(update.version, episodes)
+        self._physics |= self._hub.engines()
+        self._centres = round(update.metrics.get("rkhs/centres", 0))
+        self._staleness = update.staleness["mean"]
+        self._step_reward = step_reward(update.rollouts)
+        if not update.logged:
+            self._write(update, episodes)
         self._show("training", "")
 
-    def _write(self, step: Step, episodes: Episodes) -> None:
-        record = episodes.record(step.version)
-        if record is not None and not self._resumed_replay.holds("/episode", step.version):
-            self._log.write("/episode", record)
-        update = {
-            "version": step.version,
-            "env_steps": self.env_steps,
-            "rollouts": [
-                {
-                    "slot": rollout.slot,
-                    "incarnation": rollout.incarnation,
-                    "generation": rollout.generation,
-                    "seq": rollout.seq,
-                    "policy_version": rollout.policy_version,
-                }
-                for rollout in step.rollouts
-            ],
-            "state_digest": step.digest,
-            "metrics": step.metrics,
-            "seconds": step.seconds,
-            "staleness": step.staleness,
+    def _write(self, update: AppliedUpdate, episodes: Episodes) -> None:
+        ended = episodes.record(update.version)
+        if ended is not None and not self._resumed_replay.holds("/episode", update.version):
+            self._outlets.log.write("/episode", ended)
+        record = update.record()
+        self._outlets.log.write("/update", record)
+        self._hub.publish_metrics(encode_json(public_update(record)))
+        figures = {
+            "run/steps_per_s": self.steps_per_s,
+            "run/return": self._returns.newest,
+            "run/step_reward": self._step_reward,
         }
-        self._log.write("/update", update)
-        self._hub.publish_metrics(encode_json(public_update(update)))
-        self._scalars.add(
-            self.env_steps,
-            step.metrics
-            | {f"seconds/{name}": value for name, value in step.seconds.items()}
-            | {f"staleness/{name}": value for name, value in step.staleness.items()}
-            | {
-                "run/steps_per_s": self.steps_per_s,
-                "run/return": self.returns.newest,
-                "run/step_reward": self._step_reward,
-            },
-        )
+        self._outlets.scalars.add(update.env_steps, update.scalars() | figures)
 
     def _show(self, phase: str, text: str) -> None:
         progress = Progress(
@@ -279,7 +262,7 @@ class Run:
             env_steps=self.env_steps,
             total_steps=self._settings.updates * self._settings.batch_size,
             steps_per_s=self.steps_per_s,
-            train_return=self.returns.newest,
+            train_return=self._returns.newest,
             step_reward=self._step_reward,
             staleness=self._staleness,
             centres=self._centres,
@@ -287,10 +270,6 @@ class Run:
             actors=self._hub.actors(),
             slots=self._settings.actors,
         )
-        self._display.show(progress)
+        self._outlets.display.show(progress)
         self._hub.publish_progress(progress)
         self.draw_evaluations()
-
-
-def _prefixed(seconds: dict[str, float]) -> dict[str, float]:
-    return {f"actor/{name}": value for name, value in seconds.items()}

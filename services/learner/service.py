@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from common.config.settings import RunSettings
-from common.errors import ReskpnError
+from common.errors import INTERRUPTED, ReskpnError
 from common.memory import keep_large_blocks
 from common.runs.directory import SETTINGS, SUMMARY, prepare_run_dir, write_json
 from common.runtime import prepare_jax
@@ -18,7 +18,7 @@ from common.wire.listener import make_listener_monitor, require_authentication
 from common.wire.session import Session
 from services.learner.endpoints.hub import Hub
 from services.learner.endpoints.listening import open_listener
-from services.learner.loop import Run
+from services.learner.loop import TrainingLoop
 from services.learner.reporting.evaluations import scalars as evaluation_scalars
 from services.learner.reporting.outlets import Outlets, open_outlets
 from services.learner.reporting.summary import conclude, describe, final_record, summarise
@@ -26,9 +26,6 @@ from services.learner.resume.plan import Resumption, resume_run
 from services.learner.resume.resumed_replay import ResumedReplay
 from services.learner.training.checkpoints import Checkpoints
 from services.learner.training.trainer import Trainer
-
-INTERRUPTED = 130
-"""Exit code of a run that was asked to stop, as a shell reports Ctrl-C."""
 
 
 def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = False) -> int:
@@ -44,7 +41,7 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
     prepare_jax()
     keep_large_blocks()
     with ExitStack() as stack:
-        door = stack.enter_context(make_listener_monitor(settings.transport))
+        listener = stack.enter_context(make_listener_monitor(settings.transport))
         session = stack.enter_context(open_listener(settings.transport))
         # Only now: an address that is in use leaves no directory behind that looks like a run.
         run_dir, resumption = _begin(settings, resume=resume)
@@ -52,10 +49,14 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
         for note in resumption.notes:
             outlets.events.add("info", "resumed", note)
         hub = _make_hub(settings, session, outlets, resumption)
-        door.watch(session, hub.turned_off)
-        again = ResumedReplay(hub, resumption, outlets.events.add)
-        loop = _make_loop(settings, run_dir, hub, outlets, again, resumption, stop)
-        summary = _run_to_its_end(settings, run_dir, loop, outlets, again, resumption.run, began_s)
+        listener.watch(session, hub.turned_off)
+        replay = ResumedReplay(hub, resumption, outlets.events.add)
+        trainer = Trainer(settings)
+        if resumption.arrays is not None:
+            trainer.restore(resumption.arrays)
+        checkpoints = Checkpoints(resumption.run, run_dir)
+        loop = TrainingLoop(settings, trainer, hub, outlets, checkpoints, replay, stop)
+        summary = _run_to_its_end(settings, loop, outlets, replay, checkpoints, began_s)
         if outlets.failures:
             raise outlets.failures[0]
         outlets.display.close()
@@ -76,36 +77,22 @@ def _make_hub(settings: RunSettings, session: Session, outlets: Outlets, resumpt
     )
 
 
-def _make_loop(
-    settings: RunSettings,
-    run_dir: Path,
-    hub: Hub,
-    outlets: Outlets,
-    again: ResumedReplay,
-    resumption: Resumption,
-    stop: threading.Event,
-) -> Run:
-    trainer = Trainer(settings)
-    if resumption.arrays is not None:
-        trainer.restore(resumption.arrays)
-    checkpoints = Checkpoints(resumption.run, run_dir)
-    return Run(
-        resumption.run, settings, trainer, hub, outlets.log, outlets.display, outlets.scalars, stop, checkpoints, again
-    )
-
-
 def _run_to_its_end(
-    settings: RunSettings, run_dir: Path, loop: Run, outlets: Outlets, again: ResumedReplay, run: str, began_s: float
+    settings: RunSettings,
+    loop: TrainingLoop,
+    outlets: Outlets,
+    replay: ResumedReplay,
+    checkpoints: Checkpoints,
+    began_s: float,
 ) -> dict[str, Any]:
-    """Train, evaluate, conclude and send the actors home; the summary, which is kept unless the log has failed."""
+    """Train, evaluate, conclude and dismiss the actors; returns the summary, which is written unless the log failed."""
+    run, run_dir = checkpoints.run, checkpoints.run_dir
     try:
-        complete = loop.train()
-        evaluation = loop.evaluate() if complete else None
-        summary = summarise(settings, run_dir, run, loop, evaluation, time.monotonic() - began_s)
-        summary["complete"] = complete
+        evaluation = loop.evaluate() if loop.train() else None
+        summary = summarise(settings, run_dir, run, loop.outcome, evaluation, time.monotonic() - began_s)
         if not outlets.failures:
-            # Before the actors go home: one that is killed while it concludes needs them again.
-            logged = evaluation is None or again.holds("/eval", evaluation.version)
+            # Before the actors are dismissed: a learner that is killed while it concludes needs them when resumed.
+            logged = evaluation is None or replay.holds("/eval", evaluation.version)
             record = None if evaluation is None else final_record(evaluation, loop.env_steps)
             outlets.scalars.add(loop.env_steps, {} if record is None else evaluation_scalars(record))
             conclude(run_dir, outlets.log, summary, None if logged else record)

@@ -8,7 +8,7 @@ from typing import Any
 
 from common.config.settings import RunSettings
 from common.errors import SettingsError
-from common.runs.directory import SUMMARY, prepare_run_dir, write_json
+from common.runs.directory import SUMMARY, TENSORBOARD, prepare_run_dir, write_json
 from common.runs.recorded_run import RecordedUpdate
 from common.wire.messages import Snapshot, digest_arrays
 from services.learner.reporting.scalars import Scalars
@@ -56,7 +56,7 @@ def train_offline(
         NumericsError: an update is not finite.
     """
     run_dir = prepare_run_dir(settings)
-    scalars = Scalars(run_dir / "tensorboard")
+    scalars = Scalars(run_dir / TENSORBOARD)
     try:
         metrics: dict[str, float] = {}
         for update in updates:

@@ -25,7 +25,7 @@ IN_AN_UPDATE = {
     "the batch is in the log, not used": "die before services.learner.training.trainer:Trainer.update 7",
     "updated, nothing said or written": "die after services.learner.training.trainer:Trainer.update 7",
     "in publishing a snapshot": "die before services.learner.endpoints.monitor:RunMonitor.published 8",
-    "the snapshot is out, its update is not in the log": "die before services.learner.loop:Run._keep 7",
+    "the snapshot is out, its update is not in the log": "die before services.learner.loop:TrainingLoop._keep 7",
 }
 
 IN_A_CHECKPOINT = {
@@ -36,7 +36,7 @@ IN_A_CHECKPOINT = {
 }
 
 AT_THE_END = {
-    "the last update is made, nothing of it is written": "die before services.learner.loop:Run._keep 60",
+    "the last update is made, nothing of it is written": "die before services.learner.loop:TrainingLoop._keep 60",
     "in writing the last state": "die before pathlib:Path.replace 1 00000060.ckpt.part",
     "the evaluation has been asked for": "die after services.learner.endpoints.hub:Hub.ask_for_evaluation 1",
     "evaluated, not written": "die before services.learner.service:conclude 1",

@@ -62,7 +62,7 @@ class GuardedLearner:
         self._stack.callback(self.session.close)
         self.hub = Hub(RUN, settings(transport=transport), self.session, log, lambda *event: self.events.put(event))
         door.watch(self.session, self.hub.turned_off)
-        self.hub.begin(snapshot(0))
+        self.hub.publish(snapshot(0))
         self.hub.open()
         return self
 

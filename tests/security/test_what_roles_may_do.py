@@ -188,7 +188,7 @@ def test_another_actors_slot(run: Run) -> None:
 @pytest.mark.parametrize("role", ["actor"], indirect=True)
 def test_a_late_joiner_gets_the_policy(run: Run) -> None:
     """The newest, by asking for it, though it was published before it came."""
-    run.learner.hub.begin(snapshot(3))
+    run.learner.hub.publish(snapshot(3))
     assert Snapshot.decode(run.attacker.ask(KEYS.policy_latest)).version == 3
     orders = Queue[int]()
     run.attacker.session.subscribe(KEYS.policy_notify, lambda key, data: orders.put(Orders.decode(data).version))

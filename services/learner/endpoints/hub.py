@@ -38,7 +38,7 @@ SILENT_S = 30.0
 
 
 class Hub:
-    """Joins wire, log and fleet. The learner's loop calls `begin`, `rollouts`, `evaluation` and `finish`."""
+    """Joins wire, log and fleet. The learner's loop calls `publish`, `rollouts`, `evaluation` and `finish`."""
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class Hub:
         self._status = session.publisher(self._keys.status)
 
     def open(self) -> None:
-        """Begin to answer. The first snapshot must be there (`begin`)."""
+        """Begin to answer. The first snapshot must be there (`publish`)."""
         session, keys = self._session, self._keys
         session.serve(keys.policy_latest, self._serve_snapshot)
         session.serve(keys.rollouts, self._rollouts.on_request)
@@ -106,7 +106,7 @@ class Hub:
 
     # -- for the learner's loop ----------------------------------------------------------------------------
 
-    def begin(
+    def publish(
         self,
         snapshot: Snapshot,
         *,

@@ -11,8 +11,10 @@ from typing import Any
 
 from common.config.settings import RunSettings
 from common.errors import LogWriteError
+from common.log.segments import LOG_DIRECTORY
 from common.log.writer import LogWriter
 from common.physics.assets import model_xml
+from common.runs.directory import TENSORBOARD
 from common.runtime import hardware, software_versions, source_commit
 from services.learner.reporting.display import Display, make_display
 from services.learner.reporting.scalars import Scalars
@@ -61,7 +63,7 @@ def open_outlets(run: str, settings: RunSettings, run_dir: Path, stop: threading
         )
         stack.callback(display.close)
         events = Events(log, display)
-        scalars = Scalars(run_dir / "tensorboard", lambda text: events.add("warning", "curves_ended", text))
+        scalars = Scalars(run_dir / TENSORBOARD, lambda text: events.add("warning", "curves_ended", text))
         stack.callback(scalars.close)
         yield Outlets(log, display, events, scalars, failures)
 
@@ -70,7 +72,7 @@ def _open_log(run: str, settings: RunSettings, run_dir: Path, on_error: Any) -> 
     versions = software_versions()
     commit = source_commit()
     log = LogWriter(
-        run_dir / "log",
+        run_dir / LOG_DIRECTORY,
         segment_bytes=settings.log.segment_bytes,
         compression=settings.log.compression,
         metadata={

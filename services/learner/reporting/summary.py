@@ -3,16 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from common.config.settings import RunSettings
 from common.errors import LogWriteError
+from common.log.segments import LOG_DIRECTORY
 from common.log.writer import LogWriter
-from common.runs.directory import SUMMARY, write_json
+from common.runs.directory import SUMMARY, TENSORBOARD, write_json
 from common.wire.messages import Evaluation
-from services.learner.loop import Run
 from services.learner.reporting.evaluations import OF_THE_RUN, eval_record
+from services.learner.reporting.statistics import TrainingReturn
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The figures of a run at its end.
+
+    Attributes:
+        steps_per_s: environment steps a second while training; None where no update was made of new rollouts.
+        physics: engines of the actors.
+        digest: of the final state.
+    """
+
+    complete: bool
+    env_steps: int
+    steps_per_s: float | None
+    returns: TrainingReturn
+    physics: frozenset[str]
+    digest: str
 
 
 def conclude(run_dir: Path, log: LogWriter, summary: dict[str, Any], record: dict[str, Any] | None) -> None:
@@ -34,7 +54,7 @@ def conclude(run_dir: Path, log: LogWriter, summary: dict[str, Any], record: dic
 
 
 def summarise(
-    settings: RunSettings, run_dir: Path, run: str, loop: Run, evaluation: Evaluation | None, wall_s: float
+    settings: RunSettings, run_dir: Path, run: str, outcome: Outcome, evaluation: Evaluation | None, wall_s: float
 ) -> dict[str, Any]:
     """The run in one JSON object; evaluation figures are null where none took place."""
     returns = None if evaluation is None else evaluation.episode_return
@@ -42,20 +62,21 @@ def summarise(
         "run": run,
         "task": settings.task,
         "learner": settings.learner,
-        "physics": "+".join(sorted(loop.physics)) or settings.physics,
+        "physics": "+".join(sorted(outcome.physics)) or settings.physics,
         "seed": settings.seed,
         "actors": settings.actors,
-        "total_steps": loop.env_steps,
-        "updates": loop.env_steps // settings.batch_size,
+        "total_steps": outcome.env_steps,
+        "updates": outcome.env_steps // settings.batch_size,
         "wall_s": round(wall_s, 3),
-        "env_steps_per_s": loop.steps_per_s,
-        "train_return_mean": loop.returns.late,
-        "train_episodes": loop.returns.episodes,
+        "env_steps_per_s": outcome.steps_per_s,
+        "train_return_mean": outcome.returns.late,
+        "train_episodes": outcome.returns.episodes,
         "eval_return_mean": None if returns is None else float(returns.mean()),
         "eval_return_std": None if returns is None else float(returns.std()),
         "eval_episodes": 0 if returns is None else len(returns),
-        "state_digest": loop.digest,
-        "log": str(run_dir / "log"),
+        "state_digest": outcome.digest,
+        "log": str(run_dir / LOG_DIRECTORY),
+        "complete": outcome.complete,
     }
 
 
@@ -76,7 +97,7 @@ def describe(summary: dict[str, Any], run_dir: Path) -> Iterator[str]:
             f"over {summary['eval_episodes']} episodes with the deterministic policy"
         )
     yield f"  state digest {summary['state_digest']}"
-    yield f"  log {summary['log']}, summary {run_dir / SUMMARY}, curves {run_dir / 'tensorboard'}"
+    yield f"  log {summary['log']}, summary {run_dir / SUMMARY}, curves {run_dir / TENSORBOARD}"
 
 
 def final_record(evaluation: Evaluation, env_steps: int) -> dict[str, Any]:

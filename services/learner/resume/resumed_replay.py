@@ -7,17 +7,34 @@ environments: what its own would have been is lost.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
 
-from common.config.settings import RunSettings
-from common.wire.messages import Rollout, Snapshot
+from common.wire.messages import Rollout
 from services.learner.endpoints.hub import Hub
 from services.learner.reporting.statistics import TrainingReturn
 from services.learner.resume.plan import Resumption
 
 
+@dataclass(frozen=True)
+class Remaining:
+    """What a resumed run still has to collect with one version of its policy.
+
+    Attributes:
+        collect: whether rollouts are collected at all.
+        hand_in: whether the states of environments may be asked for: those that the run was restored from are kept.
+        logged: rollouts in the log that are made again and compared.
+        settled: rollouts in the log that are not made again.
+    """
+
+    collect: bool
+    hand_in: bool
+    logged: Collection[Rollout]
+    settled: Collection[Rollout]
+
+
 class ResumedReplay:
-    """What the loop asks of the log it goes on from; of a new run's, which is empty, nothing comes.
+    """The updates of the log that a resumed run goes on from. A fresh run has none.
 
     Args:
         on_event: as the hub's.
@@ -49,19 +66,22 @@ class ResumedReplay:
         """Whether the log has that record already."""
         return self._tail.holds(topic, version)
 
-    def begin(self, snapshot: Snapshot, settings: RunSettings) -> bytes:
-        """Publish a version through the hub, and collect for it what the log leaves to be collected."""
-        version, last = snapshot.version, self._tail.last
+    def reaches(self, version: int) -> bool:
+        """Whether the log decides anything of what is collected with a version; never in a fresh run."""
+        # Actors work for the version after the last update before that update is recorded: hence one more.
+        return bool(self._tail.last or self._tail.unused) and version <= self._tail.last + 1
+
+    def remaining(self, version: int) -> Remaining:
+        """What the log leaves to be collected with a version. Versions must not decrease."""
+        last = self._tail.last
         logged = self._tail.rollouts(version)
         if (update := self._tail.after(version)) is not None:
             self._digests[update.version] = update.digest
-        collect = version < settings.updates and (self._acting or version >= last)
+        collect = self._acting or version >= last
         restored = self._acting and version == self._resumption.version
-        kept = settings.mode == "sync" and version > 0 and version % settings.log.checkpoint_every == 0
-        return self._hub.begin(
-            snapshot,
+        return Remaining(
             collect=collect,
-            hand_in=collect and kept and not restored,
+            hand_in=collect and not restored,
             logged=logged if self._acting else (),
             settled=() if self._acting or version < last else logged,
         )

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
+from common.wire.report import LATE_S
+
 if TYPE_CHECKING:
     from services.learner.scheduling.slots import Slot
-
-LATE_S = 1.5
-"""An actor not heard of for so long has missed two heartbeats."""
 
 
 def describe_missing(slots: Sequence[Slot], done: Collection[int], written: Collection[int], now_s: float) -> str:

@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import CheckpointError, CodecError
+from common.runs.directory import KEPT_CHECKPOINTS
 from common.wire.codec import Limits
 from common.wire.messages import Snapshot, digest_arrays
 
 DIRECTORY = "checkpoints"
-KEEP = 3
 
 ENVIRONMENTS = ".env"
 """Suffix of the file with the environments of a checkpoint."""
@@ -146,7 +146,7 @@ def _drop_old(run_dir: Path) -> None:
     """Delete all but the newest few, and the newest that has its environments: the run can go on from that."""
     present = list_checkpoints(run_dir)
     complete = [path for path in present if path.with_suffix(ENVIRONMENTS).exists()]
-    for old in present[:-KEEP]:
+    for old in present[:-KEPT_CHECKPOINTS]:
         if old in complete[-1:]:
             continue
         try:

@@ -7,8 +7,9 @@ import pytest
 from mirrors import no_mirror
 
 from common.config.settings import RunSettings
+from common.runs.directory import KEPT_CHECKPOINTS
 from common.wire.messages import Rollout
-from reskpn.doctor.needs import KEPT_CHECKPOINTS, PROCESS_BYTES, UPDATE_BYTES, needs, rollout_bytes
+from reskpn.doctor.needs import PROCESS_BYTES, UPDATE_BYTES, needs, rollout_bytes
 
 SETTINGS = RunSettings.model_validate(
     {"task": "hopper", "actors": 2, "num_envs": 64, "num_steps": 10, "total_steps": 64_000, "log": {"policy_every": 25}}

@@ -115,7 +115,7 @@ class Learner:
         self.hub = Hub(
             RUN, settings(**changes), session, self.log, lambda *event: self.events.append(event), starts=starts
         )
-        self.hub.begin(snapshot(0))
+        self.hub.publish(snapshot(0))
         self.hub.open()
 
     def close(self) -> None:
@@ -179,7 +179,7 @@ def test_in_async_mode_an_actor_works_on(
     assert stand_in.made == [(Place(0, 0), seq, 0.0) for seq in range(3)]
     assert learner.batch() == [0.0]
     for version in (1, 2, 3):
-        learner.hub.begin(snapshot(version))
+        learner.hub.publish(snapshot(version))
         learner.until(lambda version=version: learner.hub.report().totals.accepted == 3 + version)
         assert learner.batch() == [max(0.0, version - 2)]
     assert stand_in.made[3:] == [(Place(0, 0), 2 + version, float(version)) for version in (1, 2, 3)]
@@ -194,7 +194,7 @@ def test_an_actor_does_what_is_asked(learners: Callable[..., Learner], actors: A
     done = actors()
     for version in range(3):
         assert learner.batch() == [float(version)]
-        learner.hub.begin(snapshot(version + 1), collect=version < 2)
+        learner.hub.publish(snapshot(version + 1), collect=version < 2)
     learner.hub.ask_for_evaluation(6)
     evaluation = learner.hub.evaluation(DEADLINE_S)
     assert evaluation is not None
@@ -213,7 +213,7 @@ def test_two_actors_share_a_run(
     both = [actors(), actors()]
     for version in range(2):
         assert learner.batch() == [float(version)] * 2
-        learner.hub.begin(snapshot(version + 1))
+        learner.hub.publish(snapshot(version + 1))
     assert sorted(place.slot for place, _, version in stand_in.made if version == 0.0) == [0, 1]
     learner.hub.finish()
     assert [one.result(DEADLINE_S) for one in both] == [0, 0]
@@ -268,7 +268,7 @@ def test_an_actor_alone_does_the_work_of_two(
     learner.hub._lose("passing", "is gone")
     for version in range(2):
         assert learner.batch() == [float(version)] * 2
-        learner.hub.begin(snapshot(version + 1))
+        learner.hub.publish(snapshot(version + 1))
     learner.hub.finish()
     assert done.result(DEADLINE_S) == 0
     assert stand_in.made[:4] == [(Place(0, 0), seq, version) for seq, version in enumerate([0.0, 0.0, 1.0, 1.0])]
@@ -284,7 +284,7 @@ def test_a_rollout_that_comes_too_late_is_made_anew(
     def move_on() -> None:
         if not moved_on.is_set():
             moved_on.set()
-            learner.hub.begin(snapshot(1))
+            learner.hub.publish(snapshot(1))
 
     stand_in.before_rollout = staticmethod(move_on)
     stand_in.ready.clear()
@@ -310,7 +310,7 @@ def test_an_actor_that_was_given_up_joins_again(
     assert learner.batch() == [0.0]
     ((_, member),) = learner.hub._fleet.members()
     learner.hub._lose(member.incarnation, "sent no heartbeat")
-    learner.hub.begin(snapshot(1), collect=collect)
+    learner.hub.publish(snapshot(1), collect=collect)
     if collect:
         assert learner.batch() == [1.0]
     learner.hub.ask_for_evaluation(2)
@@ -329,12 +329,12 @@ def test_an_actor_whose_slot_was_given_away_joins_again(
     done = actors()
     assert learner.batch() == [0.0]
     ((_, member),) = learner.hub._fleet.members()
-    learner.hub.begin(snapshot(1))
+    learner.hub.publish(snapshot(1))
     assert learner.batch() == [1.0]
     # Somebody else has the slot before any orders have told of it.
     learner.hub._fleet.lose(member.incarnation)
     learner.hub._fleet.join("other", "native", 0.0)
-    learner.hub.begin(snapshot(2))
+    learner.hub.publish(snapshot(2))
     until(lambda: any("join again; joining again" in line for line in actors.said))
     learner.hub._lose("other", "is gone")
     assert learner.batch() == [2.0]
@@ -419,13 +419,13 @@ def test_environments_are_handed_in_before_they_are_used(
     learner = learners(actors=1, num_envs=2)
     done = actors()
     assert learner.batch() == [0.0]
-    learner.hub.begin(snapshot(1), hand_in=True)
+    learner.hub.publish(snapshot(1), hand_in=True)
     assert learner.batch() == [1.0]
     kept = learner.hub.environments.kept()
     assert kept is not None
     state = Environment.decode(kept.states[0])
     assert (state.version, state.generation, state.seq, state.arrays["seq"]) == (1, 0, 1, 1)
-    learner.hub.begin(snapshot(2))
+    learner.hub.publish(snapshot(2))
     assert learner.batch() == [2.0]
     learner.hub.finish()
     assert done.result(DEADLINE_S) == 0

@@ -88,7 +88,7 @@ class Learner:
         self.directory = directory
         self.log = LogWriter(directory)
         self.hub = Hub(RUN, settings(), session, self.log, lambda *_: None)
-        self.hub.begin(snapshot(0))
+        self.hub.publish(snapshot(0))
         self.hub.open()
 
     def close(self) -> None:
@@ -144,7 +144,7 @@ def test_it_follows_a_run_to_its_end(learners: Any, evaluators: Any, until: Any)
     done = evaluators()
     for version in range(3):
         until(lambda: learner.evaluated() == list(range(version + 1)))  # noqa: B023
-        learner.hub.begin(snapshot(version + 1))
+        learner.hub.publish(snapshot(version + 1))
     until(lambda: len(learner.evaluated()) == 4)
     learner.hub.finish()
     assert done.result(DEADLINE_S) == 0
@@ -162,7 +162,7 @@ def test_it_falls_behind_and_skips(learners: Any, evaluators: Any, stand_in: typ
     evaluators()
     until(lambda: learner.announced() and stand_in.played == [0])
     for version in range(1, 8):
-        learner.hub.begin(snapshot(version))
+        learner.hub.publish(snapshot(version))
     until(lambda: learner.announced() and stand_in.links[0].newest == 7)
     stand_in.free.set()
     until(lambda: learner.evaluated() == [0, 7])
@@ -176,11 +176,11 @@ def test_it_falls_behind_and_skips(learners: Any, evaluators: Any, stand_in: typ
 def test_every_so_many_versions(learners: Any, evaluators: Any, stand_in: type[StandIn], until: Any) -> None:
     """With 4: the one it finds, then 4 or what has come after it, then 8."""
     learner = learners()
-    learner.hub.begin(snapshot(1))
+    learner.hub.publish(snapshot(1))
     evaluators(Work(every=4, episodes=1, positions=0, physics="native"))
     until(lambda: learner.evaluated() == [1])
     for version, expected in ((2, [1]), (3, [1]), (5, [1, 5]), (7, [1, 5]), (8, [1, 5, 8])):
-        learner.hub.begin(snapshot(version))
+        learner.hub.publish(snapshot(version))
         until(lambda: learner.evaluated() == expected)  # noqa: B023
     assert stand_in.played == [1, 5, 8]
     assert not list(LogReader(learner.directory).messages({"/trajectory"}))
@@ -193,7 +193,7 @@ def test_it_joins_the_next_learner(learners: Any, evaluators: Any, until: Any) -
     until(lambda: first.evaluated() == [0])
     first.close()
     second = learners()
-    second.hub.begin(snapshot(2))
+    second.hub.publish(snapshot(2))
     until(lambda: second.evaluated() in ([2], [0, 2]))
     second.hub.finish()
     assert done.result(DEADLINE_S) == 0

@@ -73,7 +73,7 @@ class Learner:
             starts=starts,
             logged_environments=logged_environments,
         )
-        self.hub.begin(snapshot(0))
+        self.hub.publish(snapshot(0))
         self.hub.open()
 
     def logged(self) -> list[bytes]:

@@ -6,7 +6,6 @@ import json
 import socket
 import threading
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,16 +19,17 @@ from common.wire.messages import Evaluation
 from services.learner import service
 from services.learner.reporting.outlets import Events
 from services.learner.reporting.statistics import TrainingReturn
-from services.learner.reporting.summary import conclude, describe, final_record, summarise
+from services.learner.reporting.summary import Outcome, conclude, describe, final_record, summarise
 
 # -- the summary -------------------------------------------------------------------------------------------
 
 
-def finished_run(**changes: Any) -> Any:
-    """What `summarise` reads of a run: 10 updates of 12 steps, of which the last ended an episode of return 8."""
+def finished_run(**changes: Any) -> Outcome:
+    """A run of 10 updates of 12 steps, of which the last ended an episode of return 8."""
     returns = TrainingReturn(10, late_sum=8.0, late_count=1, episodes=3)
-    values = {"physics": {"native"}, "env_steps": 120, "steps_per_s": 60.0, "returns": returns, "digest": "ab12"}
-    return SimpleNamespace(**values | changes)
+    values: dict[str, Any] = {"complete": True, "physics": frozenset({"native"}), "env_steps": 120}
+    values |= {"steps_per_s": 60.0, "returns": returns, "digest": "ab12"}
+    return Outcome(**values | changes)
 
 
 EVALUATION = Evaluation("r", 0, "a", 10, np.array([10, 30], np.float32), np.array([5, 7], np.int32))
@@ -58,17 +58,18 @@ def test_the_summary_of_a_run(tmp_path: Path) -> None:
         "eval_episodes": 2,
         "state_digest": "ab12",
         "log": str(tmp_path / "log"),
+        "complete": True,
     }
 
 
 def test_the_summary_of_a_run_that_was_stopped_at_once(tmp_path: Path) -> None:
     """What did not take place is null; the engine is the one that was asked for, and mixed engines are all named."""
-    early = finished_run(physics=set(), env_steps=0, steps_per_s=None, returns=TrainingReturn(10))
+    early = finished_run(physics=frozenset(), env_steps=0, steps_per_s=None, returns=TrainingReturn(10))
     summary = summarise(settings(), tmp_path, "run-1", early, None, 1.0)
     nothing = ("env_steps_per_s", "train_return_mean", "eval_return_mean", "eval_return_std")
     assert [summary[name] for name in nothing] == [None] * 4
     assert (summary["eval_episodes"], summary["updates"], summary["physics"]) == (0, 0, "native")
-    mixed = summarise(settings(), tmp_path, "run-1", finished_run(physics={"native", "mjx"}), None, 1.0)
+    mixed = summarise(settings(), tmp_path, "run-1", finished_run(physics=frozenset({"native", "mjx"})), None, 1.0)
     assert mixed["physics"] == "mjx+native"
 
 
@@ -96,7 +97,7 @@ def test_a_summary_that_cannot_be_written(tmp_path: Path) -> None:
 
 def test_the_summary_for_a_person(tmp_path: Path) -> None:
     """State, steps, speed, returns, digest and where the files are."""
-    summary = summarise(settings(), tmp_path, "run-1", finished_run(), EVALUATION, 2.0) | {"complete": True}
+    summary = summarise(settings(), tmp_path, "run-1", finished_run(), EVALUATION, 2.0)
     assert list(describe(summary, tmp_path)) == [
         "run-1: finished",
         "  120 steps in 10 updates, 2 s in all, 60 steps/s while training",
@@ -109,8 +110,8 @@ def test_the_summary_for_a_person(tmp_path: Path) -> None:
 
 def test_the_summary_of_a_stopped_run_for_a_person(tmp_path: Path) -> None:
     """Says so, and that the log is whole; without figures that there are not."""
-    early = finished_run(env_steps=0, steps_per_s=None, returns=TrainingReturn(10))
-    summary = summarise(settings(), tmp_path, "run-1", early, None, 1.0) | {"complete": False}
+    early = finished_run(complete=False, env_steps=0, steps_per_s=None, returns=TrainingReturn(10))
+    summary = summarise(settings(), tmp_path, "run-1", early, None, 1.0)
     lines = list(describe(summary, tmp_path))
     assert lines[:2] == ["run-1: stopped early; the log is whole up to here", "  0 steps in 0 updates, 1 s in all"]
     assert len(lines) == 4

@@ -331,7 +331,7 @@ def test_a_rollout_whose_answer_was_lost_is_used_once(
     with LogWriter(tmp_path / "log") as writer:
         log: Any = LateLog(writer)
         hub = Hub(RUN, settings(actors=1, num_envs=2), learner, log, lambda *event: None)
-        hub.begin(snapshot(0))
+        hub.publish(snapshot(0))
         hub.open()
         member = ask_to_join(session, stop)
         assert member is not None

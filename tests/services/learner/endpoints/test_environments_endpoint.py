@@ -34,7 +34,7 @@ def logged(learner: Learner) -> list[bytes]:
 def learner(learners: Callable[..., Learner]) -> Learner:
     """At version 4, for which it wants the environments of two slots."""
     made = learners()
-    made.hub.begin(snapshot(4), hand_in=True)
+    made.hub.publish(snapshot(4), hand_in=True)
     return made
 
 
@@ -70,11 +70,11 @@ def test_without_an_actor_a_slot_has_no_state(learner: Learner, actor: Actor) ->
 def test_with_the_next_version_they_are_forgotten(learner: Learner, actor: Actor) -> None:
     """They belong to one version; one that does not ask for them has none."""
     push(actor, environment())
-    learner.hub.begin(snapshot(5), hand_in=True)
+    learner.hub.publish(snapshot(5), hand_in=True)
     kept = learner.hub.environments.kept()
     assert kept is not None
     assert kept.states == {}
-    learner.hub.begin(snapshot(6))
+    learner.hub.publish(snapshot(6))
     assert learner.hub.environments.kept() is None
 
 
@@ -107,7 +107,7 @@ def test_the_key_must_be_the_slots(learner: Learner, actor: Actor) -> None:
 
 def test_a_version_that_wants_none_refuses(learner: Learner, actor: Actor) -> None:
     """An actor's orders tell it when."""
-    learner.hub.begin(snapshot(4))
+    learner.hub.publish(snapshot(4))
     assert push(actor, environment()).reason.startswith("stale: ")
 
 
@@ -123,7 +123,7 @@ def test_a_resumed_slot_is_given_its_environments(learners: Callable[..., Learne
     assert (given.seq, given.generation) == (7, 2)
     assert (given.arrays["q"] == state.arrays["q"]).all()
     assert actor.ask(KEYS.environment(1), b"") == b""
-    learner.hub.begin(snapshot(0))
+    learner.hub.publish(snapshot(0))
     answer = PushReply.decode(actor.ask(KEYS.rollout(0), rollout(0, "a", 7, 0, generation=2).encode()))
     assert answer.status == "accepted"
     assert actor.ask(KEYS.environment(0), b"") == b""
@@ -132,7 +132,7 @@ def test_a_resumed_slot_is_given_its_environments(learners: Callable[..., Learne
 def test_what_the_log_has_already_is_not_logged_again(learners: Callable[..., Learner], actors: Any) -> None:
     """A run that was killed before a checkpoint was complete asks again for what had come."""
     learner = learners(logged_environments={(4, 0, 0)})
-    learner.hub.begin(snapshot(4), hand_in=True)
+    learner.hub.publish(snapshot(4), hand_in=True)
     actor = actors()
     actor.join("a")
     actor.join("b")

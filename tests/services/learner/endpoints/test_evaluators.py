@@ -64,7 +64,7 @@ def test_what_it_brings_is_logged(learners: Callable[..., Learner], evaluator: C
     """As one /eval and one /trajectory, by its environment steps (12 an update), with how far it was behind."""
     learner = learners()
     side = evaluator("e")
-    learner.hub.begin(snapshot(4))
+    learner.hub.publish(snapshot(4))
     assert push(side, assessment(version=3)) == PushReply("accepted", "")
     expected = {
         "version": 3, "env_steps": 36, "episodes": 2, "return_mean": 20.0, "return_std": 10.0, "return_min": 10.0,
@@ -117,7 +117,7 @@ def test_the_report_shows_the_newest(
     side = evaluator("e")
     until(lambda: learner.hub.report().evaluators == 1)
     assert push(side, assessment()).status == "accepted"
-    learner.hub.begin(snapshot(2))
+    learner.hub.publish(snapshot(2))
     found = learner.hub.report().evaluation
     assert found is not None
     assert (found.version, found.return_mean, found.source, found.behind) == (0, 20.0, "evaluator-e", 2)

@@ -199,7 +199,7 @@ def test_a_late_joiner_gets_the_snapshot_as_it_was_published(
     """The newest one, byte for byte, whenever it is asked for."""
     learner, actor = learners(), actors()
     assert actor.ask(KEYS.policy_latest, b"") == snapshot(0).encode()
-    published = learner.hub.begin(snapshot(1))
+    published = learner.hub.publish(snapshot(1))
     served = actor.ask(KEYS.policy_latest, b"")
     assert served == published
     assert Snapshot.decode(served).version == 1
@@ -223,7 +223,7 @@ def test_orders_tell_the_newest_snapshot_and_what_is_wanted(
         return is_said
 
     until(said(version=0, collect={0: 1, 1: 1}))
-    data = learner.hub.begin(snapshot(1), collect=False)
+    data = learner.hub.publish(snapshot(1), collect=False)
     until(said(version=1, digest=snapshot(1).digest, size=len(data), collect={0: 0, 1: 0}))
     beats = actor.session.publisher(KEYS.heartbeat(1))
     learner.hub.ask_for_evaluation(8)
@@ -280,7 +280,7 @@ def test_an_evaluation_is_taken_from_who_holds_the_slot(
     """Of the version that is wanted; a repeat is accepted, anything else refused."""
     learner, actor = learners(), actors()
     actor.join("a")
-    learner.hub.begin(snapshot(3))
+    learner.hub.publish(snapshot(3))
     early = PushReply.decode(actor.ask(KEYS.evaluation(0), evaluation(0, "a", 3).encode()))
     assert early.reason == "stale: this evaluation was not asked for"
     learner.hub.ask_for_evaluation(2)

@@ -63,7 +63,7 @@ def test_the_rollouts_of_a_version(learners: Callable[..., Learner], actors: Cal
     assert [r.slot for r in taken] == [0, 1]
     for r in taken:
         np.testing.assert_array_equal(r.obs, sent[r.slot].obs)
-    learner.hub.begin(snapshot(1))
+    learner.hub.publish(snapshot(1))
     assert learner.hub.rollouts(0.0) is None
     assert learner.logged() == [sent[1].encode(), sent[0].encode()]
 

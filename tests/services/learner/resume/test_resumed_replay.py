@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
 from collections.abc import Iterator
+from pathlib import Path
 from queue import Queue
 from typing import Any
 
+import numpy as np
 import pytest
-from samples import rollout, settings, snapshot
+from samples import RUN, rollout, settings
 
 from common.wire.messages import Rollout
+from services.learner.loop import TrainingLoop
 from services.learner.resume.plan import Resumption
 from services.learner.resume.resumed_replay import ResumedReplay
 from services.learner.resume.tail import LoggedUpdate, Tail
 from services.learner.scheduling.slots import Start
+from services.learner.training.checkpoints import Checkpoints
 
 SETTINGS = settings(log={"checkpoint_every": 2})
 AFRESH = (Start(1), Start(1))
@@ -28,8 +33,8 @@ class HubStandIn:
         self.started_over: list[tuple[Any, Any, bool]] = []
         self.failed: str | None = None
 
-    def begin(self, snapshot: Any, **wanted: Any) -> bytes:
-        self.begun.append(wanted)
+    def publish(self, snapshot: Any, **wanted: Any) -> bytes:
+        self.begun.append({"logged": (), "settled": ()} | wanted)
         return b""
 
     def divergence(self) -> str | None:
@@ -54,15 +59,34 @@ def resumption() -> Resumption:
     return Resumption("r", 4, {}, (Start(0, 4), Start(0, 4)), AFRESH, Tail(6, updates(), pair(6)[:1]))
 
 
+class TrainerStandIn:
+    """A trainer that is at the version it is told."""
+
+    version = 0
+
+    def digest(self) -> str:
+        return ""
+
+    def policy_arrays(self) -> dict[str, np.ndarray]:
+        return {}
+
+
 class Sides:
     def __init__(self, resumption: Resumption) -> None:
         self.hub = HubStandIn()
         self.events: Queue[tuple[str, str, str]] = Queue()
         hub: Any = self.hub
         self.again = ResumedReplay(hub, resumption, lambda *event: self.events.put(event))
+        self.trainer = TrainerStandIn()
+        trainer: Any = self.trainer
+        nowhere: Any = None
+        checkpoints = Checkpoints(RUN, Path())
+        self.loop = TrainingLoop(SETTINGS, trainer, hub, nowhere, checkpoints, self.again, threading.Event())
 
     def begin(self, version: int) -> dict[str, Any]:
-        self.again.begin(snapshot(version), SETTINGS)
+        """Publish that version as the learner's loop does; returns what the hub was asked to collect with it."""
+        self.trainer.version = version
+        self.loop.publish()
         return self.hub.begun[-1]
 
 
@@ -98,7 +122,7 @@ def test_rollouts_of_the_version_after_the_last(resumption: Resumption) -> None:
     by_log = Sides(dataclasses.replace(resumption, tail=Tail(6, updates(), ahead), by_log="an actor was lost"))
     begun = [by_log.begin(version) for version in (4, 5, 6, 7)]
     assert [places(one["settled"]) for one in begun[2:]] == [[(0, 0, 6), (1, 0, 6)], [(1, 0, 7)]]
-    assert by_log.begin(8)["settled"] == []
+    assert by_log.begin(8)["settled"] == ()
 
 
 def test_the_last_version_collects_nothing(resumption: Resumption) -> None:
@@ -169,3 +193,16 @@ def test_returns_go_on(resumption: Resumption) -> None:
     episodes = [{"version": 1, "count": 3, "return_mean": 2.0}, {"version": 19, "count": 2, "return_mean": 5.0}]
     returns = Sides(dataclasses.replace(resumption, episodes=episodes)).again.returns(20)
     assert (returns.episodes, returns.late, returns.newest) == (5, 5.0, 3.2)
+
+
+def test_a_fresh_run_is_not_asked_about_a_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its policies are published without the code for resuming; environments are asked for at checkpoint versions."""
+    sides = Sides(Resumption("r"))
+    monkeypatch.delattr(ResumedReplay, "remaining")
+    begun = [sides.begin(version) for version in (0, 1, 2, 10)]
+    assert [(one["collect"], one["hand_in"]) for one in begun] == [
+        (True, False),
+        (True, False),
+        (True, True),
+        (False, False),
+    ]

@@ -1,0 +1,69 @@
+"""One applied update, as the log and the curves have it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from common.wire.messages import Rollout
+from services.learner.reporting.statistics import actor_seconds
+
+
+@dataclass(frozen=True)
+class AppliedUpdate:
+    """One update and what went into it.
+
+    Attributes:
+        version: the version it led to; env_steps: environment steps up to there.
+        digest: of the state it led to.
+        loop_seconds: the learner's seconds by phase; "log" ran beside the others.
+        logged: whether a resumed run's log has the update already.
+    """
+
+    version: int
+    env_steps: int
+    digest: str
+    rollouts: Sequence[Rollout]
+    metrics: Mapping[str, float]
+    loop_seconds: Mapping[str, float]
+    logged: bool
+
+    @property
+    def staleness(self) -> dict[str, float]:
+        """Versions between the policies that made the rollouts and the one that was updated: min, mean, max."""
+        behind = [self.version - 1 - rollout.policy_version for rollout in self.rollouts]
+        return {"min": min(behind), "mean": sum(behind) / len(behind), "max": max(behind)}
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Seconds by phase: the learner's, and as `actor/...` the slowest actor's."""
+        actors = actor_seconds(self.rollouts)
+        return {**self.loop_seconds, **{f"actor/{name}": value for name, value in actors.items()}}
+
+    def record(self) -> dict[str, Any]:
+        """The `/update` message. With the incarnations whole: it is for the log alone."""
+        return {
+            "version": self.version,
+            "env_steps": self.env_steps,
+            "rollouts": [
+                {
+                    "slot": rollout.slot,
+                    "incarnation": rollout.incarnation,
+                    "generation": rollout.generation,
+                    "seq": rollout.seq,
+                    "policy_version": rollout.policy_version,
+                }
+                for rollout in self.rollouts
+            ],
+            "state_digest": self.digest,
+            "metrics": dict(self.metrics),
+            "seconds": self.seconds,
+            "staleness": self.staleness,
+        }
+
+    def scalars(self) -> dict[str, float]:
+        """The points that the update adds to the curves."""
+        seconds = {f"seconds/{name}": value for name, value in self.seconds.items()}
+        staleness = {f"staleness/{name}": value for name, value in self.staleness.items()}
+        return {**self.metrics, **seconds, **staleness}
