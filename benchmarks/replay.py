@@ -22,7 +22,7 @@ from benchmarks.machine import describe, machine
 from benchmarks.processes import run_module
 from common.errors import ReskpnError
 from common.log.reader import LogReader
-from common.runs.ahead import ahead
+from common.runs.read_ahead import read_ahead
 from common.runs.recorded_run import open_run
 from common.runtime import prepare_jax
 from services.learner.training.trainer import Trainer
@@ -52,7 +52,7 @@ def measure_verify(run_dir: Path, until: int | None) -> Verdict:
     run = open_run(run_dir)
     trainer = Trainer(run.settings)
     trainer.compile()
-    with ahead(run.updates(until=until)) as updates:
+    with read_ahead(run.updates(until=until)) as updates:
         return verify(updates, trainer, allow_other_bits=False, on_update=lambda _: None)
 
 

@@ -2,7 +2,7 @@
 
 mcap's own readers load a chunk, copy it, and copy every message out of it again. Rollouts are large, so here the
 payload of a message goes straight from the file into the bytes that the caller gets, with the CRC taken on the way.
-Nothing of a chunk is given out before all of it is checked.
+No message of a chunk is returned before all of it is checked.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def read_chunk(file: BinaryIO, frame: Frame, topics: dict[int, str]) -> list[Log
     """All messages of the chunk `frame`, whose content `file` is at, in order.
 
     Args:
-        topics: topic by channel id as declared in the file so far; what this chunk declares is added.
+        topics: topic by channel id as declared in the file so far; the channels of this chunk are added.
 
     Raises:
         LogReadError: the CRC does not match, or the content is no sequence of records.
@@ -89,9 +89,9 @@ def read_chunk(file: BinaryIO, frame: Frame, topics: dict[int, str]) -> list[Log
 
 
 def _walk(source: _Source, frame: Frame, size: int) -> tuple[list[tuple[bytes, bytes]], list[bytes], int]:
-    """Take the `size` bytes of `source` apart: (message head, message data), channel records, and their CRC.
+    """Split the `size` bytes of `source`: (message head, message data), channel records, and their CRC.
 
-    The bytes are not checked yet, so no length is believed that leaves the chunk.
+    The bytes are not checked yet, so no length is trusted that leaves the chunk.
     """
     payloads: list[tuple[bytes, bytes]] = []
     channels: list[bytes] = []

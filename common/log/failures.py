@@ -1,4 +1,4 @@
-"""The sentence for a log that cannot be written: where, how much room there is and what to do."""
+"""The message for a log that cannot be written: where, how much space is free and what to do."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _REMEDIES = {
 
 
 def write_failure(path: Path, error: OSError) -> LogWriteError:
-    """The error to raise for `error`, met while making or writing `path`."""
+    """The error to raise for `error`, which occurred while `path` was created or written."""
     remedy = _REMEDIES.get(error.errno or 0, "remove the cause or choose another run directory")
     return LogWriteError(
         f"the log {path} cannot be written by user {_user()}: {error.strerror or error} ({_free_space(path)}); "

@@ -1,4 +1,4 @@
-"""Records of an MCAP file as byte ranges, and the error for bytes that are not what they should be."""
+"""Records of an MCAP file as byte ranges, and the error for damaged ones."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Record = TypeVar("Record", covariant=True)
 
 
 class RecordType(Protocol[Record]):
-    """A record class of mcap that reads itself from a stream."""
+    """A record class of mcap, with a parser."""
 
     def read(self, stream: ReadDataStream, /) -> Record: ...
 
@@ -53,8 +53,8 @@ class Frame:
 class TornTail:
     """A segment without a footer: still being written, or its writer was killed.
 
-    Its first `good_bytes` are complete records. The `dropped_bytes` after them are not, and no message of them is
-    ever given out.
+    Its first `good_bytes` are complete records. The `dropped_bytes` after them are not, and none of their messages is
+    returned.
     """
 
     path: Path
@@ -63,7 +63,7 @@ class TornTail:
 
 
 def damaged(path: Path, offset: int, what: str) -> LogReadError:
-    """The error for a file that was not written like this."""
+    """The error for a file that no writer left like this."""
     return LogReadError(
         f"{path} is damaged at byte {offset}: {what}; what follows cannot be trusted. Restore the file from a copy, "
         "or read the segments before it"

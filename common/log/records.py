@@ -1,9 +1,8 @@
-"""What the log of a run holds: its channels as one table, and a message as it is read back.
+"""The channels of a run's log as one table, and a message as it is read back.
 
 JSON channels carry a JSON schema, so that Foxglove plots them. Its importer wants one type name for a type,
 `properties` for every object and `items` for every array; the schemas keep to that. Fields that a schema does not
-name are allowed everywhere. Rollouts and policies are msgpack and stay bytes here: who wants their content decodes
-them with `common.wire`.
+name are allowed everywhere. Rollouts and policies are msgpack and stay bytes here; `common.wire` decodes them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Repair of a log whose writer was killed: every segment without a footer is made whole again."""
+"""Repair of a log whose writer was killed: every segment without a footer is rewritten as a whole one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _COPY_BYTES = 1 << 20
 class RepairedSegment:
     """A segment that was rewritten with its `messages`.
 
-    `dropped_bytes` of an incomplete record at its end were put aside in the file `torn_path`; None if there were none.
+    `dropped_bytes` of an incomplete record at its end were saved in the file `torn_path`; None if there were none.
     """
 
     path: Path
@@ -33,7 +33,7 @@ class RepairedSegment:
 
 @dataclass(frozen=True)
 class RepairReport:
-    """What a repair did; empty where every segment was whole."""
+    """The segments that a repair rewrote; empty where all were whole."""
 
     segments: tuple[RepairedSegment, ...]
 
@@ -69,7 +69,7 @@ def _repair_segment(segment: SegmentReader, torn: TornTail) -> RepairedSegment:
     try:
         beside.unlink(missing_ok=True)
         messages = _rewrite(segment, beside)
-        torn_path = _put_aside(torn) if torn.dropped_bytes else None
+        torn_path = _save_torn_bytes(torn) if torn.dropped_bytes else None
         os.replace(beside, segment.path)
         sync_directory(segment.path.parent)
     except OSError as error:
@@ -80,7 +80,7 @@ def _repair_segment(segment: SegmentReader, torn: TornTail) -> RepairedSegment:
     return RepairedSegment(segment.path, messages, torn.dropped_bytes, torn_path)
 
 
-def _put_aside(torn: TornTail) -> Path:
+def _save_torn_bytes(torn: TornTail) -> Path:
     aside = torn.path.with_name(torn.path.name + ".torn")
     with open(torn.path, "rb") as source, open(aside, "wb") as target:
         source.seek(torn.good_bytes)

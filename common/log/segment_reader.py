@@ -1,4 +1,4 @@
-"""One segment of the log as it is read: a file whose every record is checked, and which may lack its end."""
+"""One segment of the log being read: every record of the file is checked, and its end may be missing."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ _DATA_SECTION = frozenset(
 
 @dataclass(frozen=True)
 class Summary:
-    """What the end of a finished segment says of its content."""
+    """The message counts at the end of a finished segment."""
 
     messages: int
     counts: dict[str, int]
 
 
 class SegmentReader:
-    """Reads the file `path` as it was when this object was made; what is appended later is not seen.
+    """Reads the file `path` as it was when this object was made; later records are not seen.
 
-    CRCs cover messages, attachments and the summary; the format has none for metadata. Whatever does not fit, in
-    bytes, framing or count, raises LogReadError with path and offset; only the end of a segment without a footer
+    CRCs cover messages, attachments and the summary; the format has none for metadata. Any mismatch in bytes,
+    framing or count raises LogReadError with path and offset; only the end of a segment without a footer
     may be incomplete.
     """
 

@@ -1,4 +1,4 @@
-"""One segment of the log while it is written: an MCAP file that is whole up to its last commit."""
+"""One segment of the log being written: an MCAP file that is whole up to its last commit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from common.log.records import CHANNELS, ChannelSpec, encode_json
 from common.log.segments import sync_directory
 
 PROFILE = "reskpn"
-"""Profile in the header of every segment: files of other programs are told by it."""
+"""Profile in the header of every segment: identifies the files of this program."""
 
 Compression = Literal["none", "lz4"]
 Metadata = Mapping[str, Mapping[str, str]]
@@ -52,14 +52,14 @@ class _Output:
         return self.offset
 
     def flush(self) -> None:
-        """Nothing is held back: what was written is the operating system's."""
+        """Do nothing: every write has gone to the operating system."""
 
 
 class SegmentWriter:
-    """Writes the new file `path`: header and metadata at once, then messages, made lasting by `commit`.
+    """Writes the new file `path`: header and metadata at once, then messages, which `commit` makes lasting.
 
-    Every method that writes raises OSError. After one the segment must be given up with `abandon`, which leaves in
-    the file what was committed, and nothing else.
+    Every method that writes raises OSError. After one the segment must be closed with `abandon`, which leaves only
+    the committed bytes in the file.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class SegmentWriter:
         return self._messages
 
     def add(self, topic: str, t_ns: int, data: bytes) -> None:
-        """Put a message at the end. It is in the file for certain only after `commit`."""
+        """Append a message. It is certain to be in the file only after `commit`."""
         self._writer.add_message(self._channels[topic], t_ns, data, publish_time=t_ns, sequence=self._messages)
         self._messages += 1
 

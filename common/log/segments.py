@@ -34,7 +34,7 @@ def list_segments(directory: Path) -> list[Path]:
 
 
 def find_segments(path: Path) -> list[Path]:
-    """The segments that `path` means: a run directory, its log directory or one file.
+    """The segments of `path`, which is a run directory, its log directory or one file.
 
     Raises:
         LogReadError: there is nothing there, or a segment between two others is missing.
@@ -54,7 +54,7 @@ def find_segments(path: Path) -> list[Path]:
 
 
 def _check_without_gap(segments: list[Path]) -> None:
-    # A log may lack its beginning, which people prune; a hole in it would read as a run that never was.
+    # A log may lack its beginning, which people delete to save space; with a gap, two halves would pass for one run.
     present = {segment_number(path) for path in segments}
     first, last = segment_number(segments[0]), segment_number(segments[-1])
     assert first is not None
@@ -91,7 +91,7 @@ class WriterLock:
         os.pwrite(self._fd, f"{os.getpid()}\n".encode(), 0)
 
     def release(self) -> None:
-        """Let another process write. Does nothing the second time."""
+        """Let another process write. A second call does nothing."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1

@@ -38,13 +38,13 @@ class _Entry:
 class LogWriter:
     """Appends messages to the segments in `directory`, which is made if need be; existing segments are kept.
 
-    Callers only enqueue. A thread of the writer's own takes what is queued, writes it as a group, hands it to the
-    operating system and then acknowledges each message of the group. An acknowledged message survives the end of
+    Callers only enqueue. The writer's own thread takes the queued messages, writes them as a group, hands them to the
+    operating system and then acknowledges each. An acknowledged message survives the end of
     this process; it survives a loss of power once synced, which happens at most every `sync_period_s`, and when a
     segment is finished.
 
-    The first failure ends the log: what was acknowledged is readable, what was not is not in the files, nothing
-    more is acknowledged, and `write`, `flush` and `close` raise.
+    The first failure ends the log: acknowledged messages are readable, all others are not in the files, nothing more
+    is acknowledged, and `write`, `flush` and `close` raise.
 
     Args:
         directory: the log directory of the run.
@@ -147,7 +147,7 @@ class LogWriter:
             self._changed.notify_all()
 
     def flush(self, timeout_s: float) -> None:
-        """Wait until all that was written before this call is acknowledged.
+        """Wait until every message written before this call is acknowledged.
 
         Raises:
             LogWriteError: an earlier write failed, or `timeout_s` passed first.
@@ -163,7 +163,7 @@ class LogWriter:
                 )
 
     def close(self) -> None:
-        """Write what is queued and finish the file. Does nothing the second time.
+        """Write the queued messages and finish the file. A second call does nothing.
 
         Raises:
             LogWriteError: the log has failed, now or earlier.
@@ -187,7 +187,7 @@ class LogWriter:
         if error is None:
             self.close()
         else:
-            # The error under way is the one to be seen; a failure of the log was reported to `on_error`.
+            # The error being raised matters more; a failure of the log was reported to `on_error`.
             with contextlib.suppress(LogWriteError):
                 self.close()
 
@@ -228,11 +228,11 @@ class LogWriter:
         except OSError as error:
             self._fail(write_failure(self._segment.path, error), error)
         except Exception as error:
-            # Whatever it is, the service must not go on without its log.
+            # Of whatever kind the failure is, the service must not go on without its log.
             self._fail(LogWriteError(f"the log {self._segment.path} stopped: {error!r}"), error)
 
     def _next_group(self) -> list[_Entry] | None:
-        """What is queued, up to the bytes of one commit; empty when a sync is due; None at the end."""
+        """The queued messages, up to the bytes of one commit; empty when a sync is due; None at the end."""
         with self._changed:
             wait_s = None if self._sync_due_s is None else max(0.0, self._sync_due_s - time.monotonic())
             self._changed.wait_for(lambda: self._queue or self._stopping, wait_s)
@@ -265,7 +265,7 @@ class LogWriter:
             self._changed.notify_all()
 
     def _is_full(self) -> bool:
-        # A segment that begins with much is still to hold a message, or there would be no end of segments.
+        # Metadata alone may exceed the size: without a message in each, segments would be rolled for ever.
         messages, size = self._segment.messages, self._segment.size
         return messages > 0 and (size >= self._segment_bytes or messages >= self._segment_messages)
 

@@ -1,4 +1,4 @@
-"""The folder of a run: its name, what may be in it, and files that are whole or absent."""
+"""The directory of a run: its name, its files, and writing them so that each is whole or absent."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ KEPT_CHECKPOINTS = 3
 """Checkpoints that a run keeps: the newest."""
 
 RUNS = Path("runs")
-"""Where runs are kept by default."""
+"""Parent of the run directories that no setting names."""
 
 
 def prepare_run_dir(settings: RunSettings) -> Path:
-    """The run's folder, made, with the settings in it. SettingsError as `claim_run_dir`."""
+    """Create the run's directory with its settings in it, and return it. SettingsError as `claim_run_dir`."""
     run_dir = claim_run_dir(settings)
     try:
         write_json(run_dir / SETTINGS, settings.model_dump(mode="json"))
@@ -34,7 +34,7 @@ def prepare_run_dir(settings: RunSettings) -> Path:
 
 
 def claim_run_dir(settings: RunSettings) -> Path:
-    """The run's folder, made. SettingsError where it holds another run or cannot be made."""
+    """Create the run's directory and return it. SettingsError where it holds another run or cannot be created."""
     run_dir = settings.run_dir or default_run_dir(settings)
     try:
         run_dir.mkdir(parents=True, exist_ok=True)
@@ -62,7 +62,7 @@ def default_run_dir(settings: RunSettings) -> Path:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write beside, sync, rename: the file is whole or absent."""
+    """Write to a temporary file, sync it and rename it: the file is whole or absent."""
     beside = path.with_suffix(path.suffix + ".part")
     with beside.open("w") as file:
         json.dump(content, file, indent=2)

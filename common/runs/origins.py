@@ -1,4 +1,4 @@
-"""Where a log was made against where it is replayed: what differs, and whether equal bits can be expected."""
+"""The origin of a log against the machine at hand: the differences, and whether equal bits can be expected."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 BITS_DEPEND_ON = frozenset({"jax", "jaxlib", "flax", "optax", "machine", "cpu", "cores", "backend", "devices"})
-"""What the last bits of an update depend on besides this project's code: what compiles it and what it runs on."""
+"""Names whose value decides the last bits of an update beside this project's code: its compiler and its hardware."""
 
 _COMPARED = (*sorted(BITS_DEPEND_ON), "python", "numpy", "reskpn", "commit")
 _UNKNOWN = "not recorded"
@@ -14,7 +14,7 @@ _UNKNOWN = "not recorded"
 
 @dataclass(frozen=True)
 class Difference:
-    """One thing that was not the same: its value in the log, and here."""
+    """A name with two values: the one in the log and the one here."""
 
     name: str
     recorded: str
@@ -24,8 +24,13 @@ class Difference:
         return f"{self.name}: {self.recorded} in the log, {self.here} here"
 
 
+def origin(commit: str, versions: Mapping[str, str], hardware: Mapping[str, str]) -> dict[str, str]:
+    """Commit, versions and hardware in one map, so that two of them can be compared name by name."""
+    return {"commit": commit, **versions, **hardware}
+
+
 def differences(recorded: Iterable[Mapping[str, str]], here: Mapping[str, str]) -> list[Difference]:
-    """What differs between any segment of a log and this machine, each once."""
+    """The differences between the segments of a log and this machine, each once."""
     found = [
         Difference(name, there.get(name, _UNKNOWN), here.get(name, _UNKNOWN))
         for there in recorded

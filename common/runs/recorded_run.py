@@ -1,48 +1,24 @@
-"""A recorded run, read back from its log alone: settings, where it was made, and every update with its rollouts."""
+"""A recorded run, read from its log alone: its settings, where it was made, and every update with its rollouts."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
 
 from common.config.settings import RunSettings
 from common.config.sources import parse_json
-from common.errors import CodecError, LogReadError
+from common.errors import LogReadError
 from common.log.reader import LogMessage, LogReader, TornTail
 from common.log.segments import find_segments
-from common.runs.rollout_shape import rollout_shape
-from common.runs.window import Window
-from common.wire.codec import Limits
-from common.wire.messages import Rollout, RolloutShape
-
-_LIMITS = Limits(max_message=1 << 32, max_bin=1 << 32)
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedUpdate:
-    """One update as it was logged, with the rollouts it was made from, in the order of use.
-
-    `version` is the one that resulted and `state_digest` that of its state; `env_steps` counts from the start of the
-    run; `seconds` is by phase; a metric is None where it was not finite; `t_ns` is the Unix time of logging, and
-    `data` the message as it was written.
-    """
-
-    version: int
-    env_steps: int
-    rollouts: list[Rollout]
-    state_digest: str
-    metrics: Mapping[str, float | None]
-    seconds: Mapping[str, float]
-    staleness: Mapping[str, float]
-    t_ns: int
-    data: bytes
+from common.runs.origins import origin
+from common.runs.recorded_updates import TOPICS, RecordedUpdate, UpdateReader
+from common.wire.messages import Rollout
 
 
 class RecordedRun:
-    """The log of a run as it was when this object was made. Nothing of it is kept in memory but what is in use.
+    """The log of a run as it was when this object was made. Only what is in use is kept in memory.
 
     Args:
         path: a run directory, its log directory, or one .mcap file.
@@ -61,11 +37,11 @@ class RecordedRun:
 
     @property
     def torn(self) -> list[TornTail]:
-        """The segments without an end: of a run that was killed, or goes on."""
+        """The segments without a footer: of a run that was killed, or is still running."""
         return self._reader.torn
 
     def origins(self) -> list[dict[str, str]]:
-        """Where each segment was made: commit, versions and hardware in one map, as `origin` makes it."""
+        """The origin of each segment: commit, versions and hardware in one map, as `origin` makes it."""
         found = []
         for segment in find_segments(self.path):
             metadata = LogReader(segment).metadata()
@@ -97,41 +73,27 @@ class RecordedRun:
             LogReadError: the log is damaged, a rollout that an update names is not in the log before it, or the
                 versions do not follow each other.
         """
-        for _, content in self._walk(("/rollout", "/update"), on_unused or _ignore):
+        for _, content in self._walk(TOPICS, on_unused):
             if isinstance(content, RecordedUpdate):
                 yield content
                 if content.version == until:
                     return
 
     def messages(self) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
-        """Every message of the log as it was written, and what it says where it is one of /rollout or /update.
+        """Every message of the log as it was written, and its content where it is of /rollout or /update.
 
         Raises (from the iterator):
             LogReadError: as `updates`.
         """
-        return self._walk(None, _ignore)
+        return self._walk(None, None)
 
     def _walk(
-        self, topics: Collection[str] | None, on_unused: Callable[[Rollout], None]
+        self, topics: Collection[str] | None, on_unused: Callable[[Rollout], None] | None
     ) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
-        window = Window(self.settings.actors, on_unused)
-        shape = rollout_shape(self.settings)
-        version = 0
+        reader = UpdateReader(self.path, self.settings, on_unused=on_unused)
         for message in self._reader.messages(topics):
-            content: RecordedUpdate | Rollout | None = None
-            if message.topic == "/rollout":
-                content = _read_rollout(message, shape)
-                window.add(content)
-            elif message.topic == "/update":
-                content = update = _read_update(message, window)
-                if version and update.version != version + 1:
-                    raise LogReadError(
-                        f"{self.path}: update {update.version} comes after update {version}; a part of the log is "
-                        "missing or there twice"
-                    )
-                version = update.version
-            yield message, content
-        window.end()
+            yield message, reader.read(message)
+        reader.close()
 
     def _read_spec(self) -> dict[str, Any]:
         message = next(self._reader.messages(["/spec"]), None)
@@ -147,44 +109,3 @@ class RecordedRun:
 def open_run(path: Path | str) -> RecordedRun:
     """The recorded run in `path`; see `RecordedRun`."""
     return RecordedRun(Path(path))
-
-
-def origin(commit: str, versions: Mapping[str, str], hardware: Mapping[str, str]) -> dict[str, str]:
-    """Commit, versions and hardware in one map, so that two of them can be compared name by name."""
-    return {"commit": commit, **versions, **hardware}
-
-
-def _read_rollout(message: LogMessage, shape: RolloutShape) -> Rollout:
-    try:
-        rollout = Rollout.decode(message.data, _LIMITS)
-        rollout.check(shape)
-    except CodecError as error:
-        raise LogReadError(f"message {message.sequence} of /rollout is not a rollout of this run: {error}") from None
-    return rollout
-
-
-def _read_update(message: LogMessage, window: Window) -> RecordedUpdate:
-    content = message.json()
-    try:
-        version = int(content["version"])
-        keys = [(int(used["slot"]), str(used["incarnation"]), int(used["seq"])) for used in content["rollouts"]]
-        return RecordedUpdate(
-            version=version,
-            env_steps=int(content["env_steps"]),
-            rollouts=window.take(version, keys),
-            state_digest=str(content["state_digest"]),
-            metrics=dict(content["metrics"]),
-            seconds=dict(content["seconds"]),
-            staleness=dict(content["staleness"]),
-            t_ns=message.t_ns,
-            data=message.data,
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise LogReadError(
-            f"message {message.sequence} of /update is not the record of an update ({error!r}); read this log with "
-            "the version that wrote it"
-        ) from None
-
-
-def _ignore(_: Rollout) -> None:
-    """What becomes of a rollout without use where nobody asks for it."""

@@ -1,4 +1,4 @@
-"""The settings of a run that is resumed: those that it began with, but for the few that may change."""
+"""The settings of a resumed run: those it began with, except for the few that may change."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from common.log.segments import LOG_DIRECTORY, list_segments
 from common.runs.directory import SETTINGS, SUMMARY
 
 MAY_CHANGE = ("transport.", "total_steps", "run_dir")
-"""Settings, or sections of them, that do not decide what a run learns from what it has collected."""
+"""Settings, or sections of them, that do not affect what a run learns from the experience it has collected."""
 
 
 @dataclass(frozen=True)
 class Interrupted:
     """A run directory as it was left.
 
-    `complete`: all updates of `settings` were made, and evaluated. `untold`: it is, but its log was not closed,
-    which is the last that a learner does, after its actors have heard that the run is over.
+    `complete`: all updates of `settings` were made, and evaluated. `shutdown_pending`: it is complete, but its log was
+    not closed; a learner does that last, after its actors were notified that the run is over.
     """
 
     run_dir: Path
     settings: RunSettings
     complete: bool
-    untold: bool
+    shutdown_pending: bool
 
 
 def holds_run(run_dir: Path) -> bool:
-    """Whether a run was begun there."""
+    """True if a run was begun there."""
     return (run_dir / SETTINGS).exists() or bool(list_segments(run_dir / LOG_DIRECTORY))
 
 
@@ -56,9 +56,9 @@ def read_interrupted(run_dir: Path) -> Interrupted:
 
 
 def newest_interrupted(folder: Path, settings: RunSettings) -> Path | None:
-    """The newest run in a folder of runs, where it began with these settings and is not complete, or untold; else None.
+    """The newest run of a folder of runs, if it has these settings and is not complete or its shutdown is pending.
 
-    Where it listened, and where it is kept, do not count.
+    Its address and its directory do not count. None if there is no such run.
     """
     begun = [path for path in folder.glob("*") if holds_run(path)]
     if not begun:
@@ -71,7 +71,7 @@ def newest_interrupted(folder: Path, settings: RunSettings) -> Path | None:
     places = ("transport.", "run_dir")
     pairs = _differences(found.settings.model_dump(mode="json"), settings.model_dump(mode="json"))
     same = all(name.startswith(places) for name, _, _ in pairs)
-    return newest if same and (found.untold or not found.complete) else None
+    return newest if same and (found.shutdown_pending or not found.complete) else None
 
 
 def resumed_settings(found: Interrupted, load: Callable[[RunSettings], RunSettings]) -> RunSettings:
@@ -103,7 +103,7 @@ def resumed_settings(found: Interrupted, load: Callable[[RunSettings], RunSettin
 
 
 def _as_large(base: RunSettings, given: RunSettings) -> RunSettings:
-    """More updates could make more room for h, and the state of the run would not fit any more: keep its size."""
+    """The given settings with the capacity of h that the run began with, which its state has to fit."""
     if given.capacity == base.capacity:
         return given
     rkhs = given.rkhs.model_copy(update={"capacity": base.capacity})
@@ -111,7 +111,7 @@ def _as_large(base: RunSettings, given: RunSettings) -> RunSettings:
 
 
 def _settings_text(run_dir: Path) -> str:
-    """The newest settings in the log; those beside it where the log had not begun."""
+    """The newest settings in the log as JSON; those beside it where the log had not begun."""
     if list_segments(run_dir / LOG_DIRECTORY):
         text = LogReader(run_dir).metadata().get("settings", {}).get("json")
         if text is not None:
@@ -138,7 +138,7 @@ def _is_open(run_dir: Path) -> bool:
     try:
         return bool(LogReader(run_dir).torn)
     except LogReadError:
-        return False  # who reads it hears of the damage; of a run that is over there is nothing to go on with
+        return False  # reading it reports the damage; a run that is over needs nothing more from it
 
 
 def _differences(old: Mapping[str, Any], new: Mapping[str, Any], section: str = "") -> Iterator[tuple[str, Any, Any]]:

@@ -1,4 +1,4 @@
-"""The sizes that the rollouts of a run have, for whoever checks or counts them."""
+"""The array sizes of the rollouts of a run."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from common.wire.messages import RolloutShape
 
 
 def rollout_shape(settings: RunSettings) -> RolloutShape:
-    """Of one actor's rollouts."""
+    """The sizes of one actor's rollouts."""
     task = TASKS[settings.task]
     return RolloutShape(
         num_steps=settings.num_steps,

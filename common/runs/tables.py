@@ -1,6 +1,6 @@
-"""A recorded run as Parquet files: transitions, episodes, and what was measured at every update.
+"""A recorded run as Parquet files: transitions, episodes, and the metrics of every update.
 
-Transitions are written as the log is read, a row group at a time; what is kept of the updates is their numbers.
+Transitions are written as the log is read, a row group at a time; only the metrics of the updates are held in memory.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from common.errors import SettingsError
-from common.runs.recorded_run import RecordedRun, RecordedUpdate
+from common.runs.recorded_run import RecordedRun
+from common.runs.recorded_updates import RecordedUpdate
 from common.tasks import TASKS
 from common.wire.messages import Rollout
 
@@ -36,9 +37,9 @@ _ORIGIN = (
 
 
 def extract(run: RecordedRun, folder: Path, on_update: Callable[[RecordedUpdate], None]) -> dict[str, int]:
-    """Write the files of a run into `folder`, which is made; returns the rows of each.
+    """Write the files of a run into `folder`, which is created; returns the number of rows of each.
 
-    A file is there whole or not at all.
+    Each file is whole or absent.
 
     Args:
         on_update: called after each update.
@@ -113,7 +114,7 @@ class Numbers:
         self._digests: list[str] = []
 
     def add(self, update: RecordedUpdate) -> None:
-        """The next row. What other updates have and this one has not is null, as is what was not finite."""
+        """Add a row. A value that only other updates have is null, as is one that was not finite."""
         rows = len(self._digests)
         values = {
             **{f"staleness/{name}": value for name, value in update.staleness.items()},
@@ -139,7 +140,7 @@ class Numbers:
 
 
 class _Table:
-    """A Parquet file under way."""
+    """A Parquet file that is being written."""
 
     def __init__(self, writer: parquet.ParquetWriter, schema: pa.Schema) -> None:
         self.rows = 0
@@ -164,7 +165,7 @@ class _Table:
 
 @contextmanager
 def _table(path: Path, schema: pa.Schema) -> Iterator[_Table]:
-    """A table that becomes the file `path` at the end of the block, and nothing if the block raises."""
+    """A table that becomes the file `path` at the end of the block; no file is left if the block raises."""
     beside = path.with_suffix(".part")
     try:
         # Floats hardly repeat: a dictionary of their values would only cost time.

@@ -10,10 +10,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from common.config.settings import RunSettings, TransportSettings
 from common.errors import INTERRUPTED, SettingsError
-from common.runs.ahead import ahead
 from common.runs.directory import SUMMARY, claim_run_dir, default_run_dir
-from common.runs.origins import bits_can_differ, differences
-from common.runs.recorded_run import RecordedRun, open_run, origin
+from common.runs.origins import bits_can_differ, differences, origin
+from common.runs.read_ahead import read_ahead
+from common.runs.recorded_run import RecordedRun, open_run
 
 LINES = 10
 """Lines of metrics that are printed while a second learner trains."""
@@ -39,7 +39,7 @@ def verify_run(path: Path, until: int | None) -> int:
     trainer = Trainer(run.settings)
     print(f"{run.run}: verifying {total} updates of {run.settings.learner} on {run.settings.task}", flush=True)
     trainer.compile()
-    with progress_bar() as bar, ahead(run.updates(until=until)) as updates:
+    with progress_bar() as bar, read_ahead(run.updates(until=until)) as updates:
         task = bar.add_task("verifying", total=total)
         verdict = verify(
             updates, trainer, allow_other_bits=bits_can_differ(found), on_update=lambda _: bar.advance(task)
@@ -85,7 +85,7 @@ def train_into(path: Path, choose: Callable[[RunSettings], RunSettings]) -> int:
     trainer = Trainer(settings)
     print(f"{run.run}: training {settings.learner} on its {total} updates of experience", flush=True)
     trainer.compile()
-    with progress_bar() as bar, ahead(run.updates()) as updates:
+    with progress_bar() as bar, read_ahead(run.updates()) as updates:
         task = bar.add_task("training", total=total)
 
         def on_update(version: int, metrics: dict[str, float]) -> None:

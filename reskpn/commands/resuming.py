@@ -34,7 +34,7 @@ def close_log(run_dir: Path) -> int:
     """Of a finished run whose learner was killed before it could, with nobody left to be told. Returns 0."""
     from services.learner.resume.plan import repair_log
 
-    if read_interrupted(run_dir).untold:
+    if read_interrupted(run_dir).shutdown_pending:
         for note in repair_log(run_dir):
             print(note, flush=True)
     return 0
@@ -48,7 +48,7 @@ def notify_pending_actors(run_dir: Path, load: Callable[[RunSettings], RunSettin
     from services.learner.resume.shutdown_notice import send_shutdown_notice
 
     found = read_interrupted(run_dir)
-    if found.untold:
+    if found.shutdown_pending:
         transport = resumed_settings(found, load).transport
         send_shutdown_notice(run_dir, transport, stop=stop, say=lambda text: print(text, flush=True))
     return 0

@@ -22,15 +22,15 @@ def describe_verdict(verdict: Verdict, found: Sequence[Difference]) -> Iterator[
         yield f"all {verdict.updates} updates agree{_how(verdict)}"
     elif verdict.divergence is not None:
         yield from _divergence(verdict, verdict.divergence)
-    if verdict.loose_from is not None:
+    if verdict.tolerance_from is not None:
         yield (
-            f"FALLBACK: from update {verdict.loose_from} on the states differ in their bits, and only the metrics "
+            f"FALLBACK: from update {verdict.tolerance_from} on the states differ in their bits, and only the metrics "
             f"were compared, each {TOLERANCE}; equal bits are promised on the same device and versions only"
         )
-        if verdict.loose_from > 1:
+        if verdict.tolerance_from > 1:
             yield (
-                f"  updates 1 to {verdict.loose_from - 1} were equal bit for bit all the same, so unless the run moved "
-                "to another machine there, a changed log is likelier than other arithmetic"
+                f"  updates 1 to {verdict.tolerance_from - 1} were equal bit for bit all the same, so unless the run "
+                "moved to another machine there, a changed log is likelier than other arithmetic"
             )
     yield from _machine(found)
     if verdict.speed is not None:
@@ -38,9 +38,9 @@ def describe_verdict(verdict: Verdict, found: Sequence[Difference]) -> Iterator[
 
 
 def _how(verdict: Verdict) -> str:
-    if verdict.loose_from is None:
+    if verdict.tolerance_from is None:
         return ", bit for bit"
-    exact = verdict.loose_from - 1
+    exact = verdict.tolerance_from - 1
     return f": the first {exact} bit for bit, {verdict.updates - exact} in their metrics"
 
 

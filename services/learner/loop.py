@@ -213,9 +213,9 @@ class TrainingLoop:
         """The rollouts of this version; None when the run is asked to stop."""
         version = self._trainer.version
         while not self._stop.is_set():
-            if (rollouts := self._resumed_replay.by_log(version) or self._hub.rollouts(TICK_S)) is not None:
+            if (rollouts := self._resumed_replay.logged_rollouts(version) or self._hub.rollouts(TICK_S)) is not None:
                 return rollouts
-            if self._resumed_replay.give_up_acting(version):
+            if self._resumed_replay.fall_back_to_log(version):
                 continue
             self._tick("training" if self._trainer.version else "starting", self._hub.waiting_for())
         return None

@@ -22,7 +22,7 @@ from services.learner.loop import TrainingLoop
 from services.learner.reporting.evaluations import scalars as evaluation_scalars
 from services.learner.reporting.outlets import Outlets, open_outlets
 from services.learner.reporting.summary import conclude, describe, final_record, summarise
-from services.learner.resume.plan import Resumption, resume_run
+from services.learner.resume.plan import Resumption, plan_resumption
 from services.learner.resume.resumed_replay import ResumedReplay
 from services.learner.training.checkpoints import Checkpoints
 from services.learner.training.trainer import Trainer
@@ -111,7 +111,7 @@ def _begin(settings: RunSettings, *, resume: bool) -> tuple[Path, Resumption]:
     if not resume:
         return prepare_run_dir(settings), fresh
     assert settings.run_dir is not None
-    resumption = resume_run(settings, settings.run_dir)
+    resumption = plan_resumption(settings, settings.run_dir)
     write_json(settings.run_dir / SETTINGS, settings.model_dump(mode="json"))
     (settings.run_dir / SUMMARY).unlink(missing_ok=True)  # of a run that was stopped: it is not over
     return settings.run_dir, resumption or fresh

@@ -1,4 +1,4 @@
-"""A second learner on the experience of a recorded run: its rollouts, in their order, without an environment."""
+"""Offline training: a second learner on the rollouts of a recorded run, in their order, without an environment."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from typing import Any
 from common.config.settings import RunSettings
 from common.errors import SettingsError
 from common.runs.directory import SUMMARY, TENSORBOARD, prepare_run_dir, write_json
-from common.runs.recorded_run import RecordedUpdate
+from common.runs.recorded_updates import RecordedUpdate
 from common.wire.messages import Snapshot, digest_arrays
 from services.learner.reporting.scalars import Scalars
 from services.learner.training.checkpoints import write_checkpoint
 from services.learner.training.trainer import Trainer
 
 FIXED = ("task", "actors", "num_envs", "num_steps", "episode_length")
-"""Settings that the recorded rollouts are made by; another learner cannot choose them."""
+"""Settings that the recorded rollouts depend on; another learner cannot choose them."""
 
 OnUpdate = Callable[[int, dict[str, float]], None]
 """(version, its metrics)."""
 
 
 def require_same_rollouts(recorded: RunSettings, settings: RunSettings) -> None:
-    """Raises SettingsError unless rollouts of the recorded run are what these settings need."""
+    """Raise SettingsError unless these settings can use the rollouts of the recorded run."""
     for name in FIXED:
         old, new = getattr(recorded, name), getattr(settings, name)
         if old != new:
@@ -43,7 +43,7 @@ def require_same_rollouts(recorded: RunSettings, settings: RunSettings) -> None:
 def train_offline(
     run: str, settings: RunSettings, trainer: Trainer, updates: Iterator[RecordedUpdate], on_update: OnUpdate
 ) -> Path:
-    """Apply the recorded updates to another learner, and leave a run directory: returns it.
+    """Train another learner with the recorded updates; returns the run directory that it leaves.
 
     It holds `settings.json`, curves by environment step, the last state as a checkpoint, and `summary.json`.
 

@@ -1,11 +1,12 @@
-"""A recorded run on the keys of a live one: what a subscriber would have seen, out of the log."""
+"""A recorded run on the keys of a live one: the messages that a subscriber would have received, from the log."""
 
 from __future__ import annotations
 
 import time
 
 from common.log.reader import LogMessage
-from common.runs.recorded_run import RecordedRun, RecordedUpdate
+from common.runs.recorded_run import RecordedRun
+from common.runs.recorded_updates import RecordedUpdate
 from common.wire.keys import Keys
 from common.wire.messages import Orders, Rollout, Snapshot
 from common.wire.report import Progress
@@ -18,7 +19,7 @@ class Player:
 
     `/update` goes out on `metrics`, with the `status` after it; a `/policy` is served on `policy/latest` and announced
     on `policy/notify`. Rollouts are put on `rollout/<slot>`, which in a live run are queries that only the learner
-    gets. Whatever else the log holds has no key. Nothing is dropped where a subscriber is slow.
+    gets. The other topics of a log have no key. Nothing is dropped where a subscriber is slow.
     """
 
     def __init__(self, run: RecordedRun, session: Session) -> None:
@@ -51,7 +52,7 @@ class Player:
             self._announce(finished=False)
 
     def finish(self) -> None:
-        """Say that the run is over, as a learner does at its end."""
+        """Announce that the run is over, as a learner does at its end."""
         if self._snapshot:
             self._announce(finished=True)
 

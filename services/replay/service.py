@@ -1,4 +1,4 @@
-"""The player as a process: opens a session, keeps the pace of the run or none, and ends with the log."""
+"""The player as a process: opens a session, plays the log at a chosen pace, and ends with it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import time
 from collections.abc import Callable, Iterator
 
 from common.log.reader import LogMessage
-from common.runs.ahead import ahead
-from common.runs.recorded_run import RecordedRun, RecordedUpdate
+from common.runs.read_ahead import read_ahead
+from common.runs.recorded_run import RecordedRun
+from common.runs.recorded_updates import RecordedUpdate
 from common.wire.access import Names, listening_only
 from common.wire.credentials import NOBODY, Credentials
 from common.wire.messages import Rollout
@@ -31,11 +32,11 @@ def run_player(
     stop: threading.Event,
     on_update: Callable[[RecordedUpdate], None],
 ) -> bool:
-    """Play a log to its end, or until `stop` is set; whether it was the end.
+    """Play a log to its end, or until `stop` is set; returns True at the end.
 
     Args:
         endpoint: where subscribers connect.
-        credentials: who may do so: the run's actors and viewers, by their names.
+        credentials: of those allowed to: the run's actors and viewers, by their names.
         rate: speed as a multiple of the run's; None for as fast as subscribers take it.
         delay_s: time for subscribers to connect before the first message.
 
@@ -49,7 +50,7 @@ def run_player(
         names = Names(run.settings.transport.actor_names, run.settings.transport.viewer_names)
         access = listening_only(names, by_password=credentials.users is not None)
     line = open_session(listen=[endpoint], max_message_size=size, credentials=credentials, options=access)
-    with line as session, ahead(run.messages()) as messages:
+    with line as session, read_ahead(run.messages()) as messages:
         player = Player(run, session)
         if stop.wait(delay_s):
             return False

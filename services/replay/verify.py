@@ -1,4 +1,4 @@
-"""Re-execution of a recorded run: the learner, fed from the log alone, must come by the states that were recorded."""
+"""Re-execution of a recorded run: the learner, fed from the log alone, must arrive at the recorded states."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from common.errors import LogReadError, NumericsError
-from common.runs.recorded_run import RecordedUpdate
+from common.runs.recorded_updates import RecordedUpdate
 from services.learner.training.trainer import Trainer
 
 RELATIVE_TOLERANCE = 0.2
@@ -19,7 +19,7 @@ About three times what 30 updates of reskpn on inverted_pendulum needed, compile
 """
 
 LOOP = ("wait", "learner", "publish", "record")
-"""The phases in `RecordedUpdate.seconds` that come one after the other in a live learner."""
+"""The phases in `RecordedUpdate.seconds` that a live learner runs one after the other."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class MetricDifference:
 
 @dataclass(frozen=True)
 class Divergence:
-    """The first update that did not come out as recorded.
+    """The first update that differs from its record.
 
     `recomputed_digest` is "" where the update could not be applied; `reason` says why then.
     """
@@ -47,15 +47,15 @@ class Divergence:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a verification found.
+    """The result of a verification.
 
-    `updates` came out as recorded, those before version `loose_from` (None: all) bit for bit and the others in their
-    metrics, within the tolerances. `live_s` is what the updates took in the run and `replay_s` what they took here;
+    `updates` agree with their records: those before version `tolerance_from` (None: all) bit for bit, the others in
+    their metrics, within the tolerances. `live_s` is the time of the updates in the run and `replay_s` their time here;
     both leave out the first, which waited for compilation.
     """
 
     updates: int
-    loose_from: int | None
+    tolerance_from: int | None
     divergence: Divergence | None
     live_s: float
     replay_s: float
@@ -66,7 +66,7 @@ class Verdict:
 
     @property
     def speed(self) -> float | None:
-        """How many times faster than the run; None where there is nothing to compare."""
+        """Speed as a multiple of the run's; None where there is nothing to compare."""
         return self.live_s / self.replay_s if self.live_s and self.replay_s else None
 
 
@@ -88,7 +88,7 @@ def verify(
     Raises:
         LogReadError: of the log, or the first update is not the one after the trainer's state.
     """
-    count, loose_from, divergence = 0, None, None
+    count, tolerance_from, divergence = 0, None, None
     live_s, began_s = 0.0, clock_s()
     for update in updates:
         if update.version != trainer.version + 1:
@@ -99,15 +99,15 @@ def verify(
         divergence, same_bits = _compare(update, trainer, allow_other_bits)
         if divergence is not None:
             break
-        if not same_bits and loose_from is None:
-            loose_from = update.version
+        if not same_bits and tolerance_from is None:
+            tolerance_from = update.version
         if count:
             live_s += sum(update.seconds.get(phase, 0.0) for phase in LOOP)
         else:
             began_s = clock_s()
         count += 1
         on_update(update)
-    return Verdict(count, loose_from, divergence, live_s, clock_s() - began_s)
+    return Verdict(count, tolerance_from, divergence, live_s, clock_s() - began_s)
 
 
 def metric_differences(
@@ -123,7 +123,7 @@ def metric_differences(
 
 
 def _compare(update: RecordedUpdate, trainer: Trainer, allow_other_bits: bool) -> tuple[Divergence | None, bool]:
-    """Apply one update: its divergence if there is one, and whether it came out bit for bit."""
+    """Apply one update; returns its divergence, if any, and True if it is equal bit for bit."""
     try:
         metrics = trainer.update(update.rollouts)
     except NumericsError as error:

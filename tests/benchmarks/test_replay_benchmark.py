@@ -12,7 +12,7 @@ from recorded_runs import UPDATES, made_up, write_log
 from benchmarks import replay
 from services.replay.verify import Divergence, Verdict
 
-AGREED = Verdict(updates=UPDATES, loose_from=None, divergence=None, live_s=3.0, replay_s=2.0)
+AGREED = Verdict(updates=UPDATES, tolerance_from=None, divergence=None, live_s=3.0, replay_s=2.0)
 
 
 @pytest.fixture

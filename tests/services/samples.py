@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from mirrors import no_mirror
 
 from common.config.settings import RunSettings
+from common.runs.recorded_updates import RecordedUpdate
 from common.wire.messages import Evaluation, Heartbeat, Join, Rollout, Snapshot, digest_arrays
 from common.wire.report import Progress
 
@@ -77,3 +79,22 @@ def question(incarnation: str = "a", **changes: Any) -> Join:
 def snapshot(version: int = 0) -> Snapshot:
     arrays = {"parameters/w": np.full((2, 3), version, np.float32), "count": np.array(version, np.int32)}
     return Snapshot(RUN, version, digest_arrays(arrays), arrays)
+
+
+def update_record(version: int, digest: str, rollouts: Iterable[Rollout]) -> dict[str, Any]:
+    """The `/update` message of a learner that used these rollouts."""
+    names = ("slot", "incarnation", "generation", "seq", "policy_version")
+    return {
+        "version": version,
+        "env_steps": 12 * version,
+        "rollouts": [{name: getattr(one, name) for name in names} for one in rollouts],
+        "state_digest": digest,
+        "metrics": {},
+        "seconds": {},
+        "staleness": {},
+    }
+
+
+def recorded_update(version: int, digest: str, rollouts: list[Rollout]) -> RecordedUpdate:
+    """The same as a log gives it back."""
+    return RecordedUpdate(version, 12 * version, rollouts, digest, {}, {}, {}, 0, b"")

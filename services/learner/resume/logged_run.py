@@ -1,4 +1,4 @@
-"""What the log of an interrupted run says of it: read once, whole, before the run is resumed."""
+"""The log of an interrupted run as an index: read once, whole, before the run is resumed."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from common.config.settings import RunSettings
 from common.errors import LogReadError
 from common.log.reader import LogReader
 from common.log.records import LogMessage
 from common.log.segments import find_segments
+from common.runs.recorded_updates import TOPICS, RecordedUpdate, read_updates
 from common.wire.messages import Environment, Rollout, Snapshot
 from services.learner.reporting.evaluations import is_of_the_run
-from services.learner.resume.tail import LoggedUpdate, place_of, read_updates
 from services.learner.scheduling.slots import Place
 
 UNUSED_UPDATES = 2
@@ -24,7 +25,7 @@ UNUSED_UPDATES = 2
 
 @dataclass(frozen=True)
 class UpdateEntry:
-    """One `/update` without its rollouts: digest of the state it led to, and the places of what it used."""
+    """One `/update` without its rollouts: digest of the state it led to, and the places of the rollouts it used."""
 
     digest: str
     places: tuple[Place, ...]
@@ -36,23 +37,23 @@ class LoggedRun:
 
     Attributes:
         updates: by the version they led to.
-        staleness: versions that a rollout may lie behind the policy that it updates.
-        unused: rollouts that no update has used, of the last version or as little behind it as that, and of the next;
-            in their order.
+        unused: rollouts that no update has used, of the last version or as little behind it as the run's staleness
+            allows, and of the next; in their order.
         episodes: the `/episode` records.
         environments: (version, slot, generation) of the environment states in the log.
         ahead: (topic, version) of records beyond the last update.
+        first_version: version of the first update in each segment; None where it has none.
     """
 
+    run_dir: Path
+    settings: RunSettings
     segments: list[Path]
-    staleness: int = 0
     updates: dict[int, UpdateEntry] = field(default_factory=dict)
     unused: list[Rollout] = field(default_factory=list)
     episodes: list[dict[str, Any]] = field(default_factory=list)
     environments: set[tuple[int, int, int]] = field(default_factory=set)
     ahead: set[tuple[str, int]] = field(default_factory=set)
     first_version: list[int | None] = field(default_factory=list)
-    """Version of the first update in each segment; None where it has none."""
 
     @property
     def last(self) -> int:
@@ -70,27 +71,27 @@ class LoggedRun:
             raise LogReadError(f"the log {self.segments[0].parent} lacks update {missing[0]}; restore it from a copy")
         return [self.updates[version].places for version in versions]
 
-    def updates_after(self, version: int) -> Iterator[LoggedUpdate]:
+    def updates_after(self, version: int) -> Iterator[RecordedUpdate]:
         """The updates after that version with their rollouts, read as they are asked for."""
-        # What belongs to version v is not written before the update to v - 1; rollouts, before that to v - 1 - S.
-        oldest = version - self.staleness
+        # Records of version v are not written before the update to v - 1; rollouts, before that to v - 1 - S.
+        oldest = version - self.settings.staleness
         early = [n for n, first in enumerate(self.first_version) if first is not None and first < oldest]
         readers = [LogReader(path) for path in self.segments[max(early, default=0) :]]
-        messages = chain.from_iterable(reader.messages(["/rollout", "/update"]) for reader in readers)
-        return read_updates(messages, version, self.staleness)
+        messages = chain.from_iterable(reader.messages(TOPICS) for reader in readers)
+        return read_updates(messages, self.run_dir, self.settings, after=version)
 
 
-def read_logged_run(run_dir: Path, slots: int, staleness: int = 0) -> LoggedRun:
-    """Read the log of a run of so many slots, with rollouts as stale as that.
+def read_logged_run(run_dir: Path, settings: RunSettings) -> LoggedRun:
+    """Read the log of a run with these settings.
 
     Raises:
         LogReadError: there is none, or it is damaged.
-        CodecError: a message of it is not what its channel holds.
+        CodecError: a message of it does not fit its channel.
     """
-    found = LoggedRun(find_segments(run_dir), staleness)
+    found = LoggedRun(run_dir, settings, find_segments(run_dir))
     newest: dict[str, LogMessage] = {}
     # Those of one version lie among (S + 1) K that came before it was used up and (S + 1) K that came after.
-    rollouts: deque[bytes] = deque(maxlen=(UNUSED_UPDATES + 1 + 2 * staleness) * slots)
+    rollouts: deque[bytes] = deque(maxlen=(UNUSED_UPDATES + 1 + 2 * settings.staleness) * settings.actors)
     for path in found.segments:
         first: int | None = None
         for message in LogReader(path).messages():
@@ -107,30 +108,37 @@ def read_logged_run(run_dir: Path, slots: int, staleness: int = 0) -> LoggedRun:
                 kept = Environment.decode(message.data)
                 found.environments.add((kept.version, kept.slot, kept.generation))
         found.first_version.append(first)
-    _look_beyond(found, newest, rollouts)
+    found.unused = _unused(found, rollouts)
+    found.ahead = _ahead(found.last, newest)
     return found
 
 
 def _add_update(found: LoggedRun, record: dict[str, Any]) -> int:
     version = int(record["version"])
-    found.updates[version] = UpdateEntry(record["state_digest"], tuple(place_of(used) for used in record["rollouts"]))
+    places = tuple((used["slot"], used["generation"], used["seq"]) for used in record["rollouts"])
+    found.updates[version] = UpdateEntry(record["state_digest"], places)
     return version
 
 
-def _look_beyond(found: LoggedRun, newest: dict[str, LogMessage], rollouts: deque[bytes]) -> None:
-    last, oldest = found.last, found.last - found.staleness
-    used = {place for version in range(oldest - UNUSED_UPDATES, last + 1) for place in _places(found, version)}
+def _unused(found: LoggedRun, rollouts: deque[bytes]) -> list[Rollout]:
+    """The rollouts that the updates after the last one may use, out of the newest of the log."""
+    last, oldest = found.last, found.last - found.settings.staleness
+    used = {
+        place
+        for version in range(oldest - UNUSED_UPDATES, last + 1)
+        if version in found.updates
+        for place in found.updates[version].places
+    }
     decoded = [Rollout.decode(data) for data in rollouts]
     # The next version is published, and acted by, before the update to it is recorded.
-    found.unused = [made for made in decoded if made.policy_version >= oldest and made.place not in used]
+    return [made for made in decoded if made.policy_version >= oldest and made.place not in used]
+
+
+def _ahead(last: int, newest: dict[str, LogMessage]) -> set[tuple[str, int]]:
+    """(topic, version) of records that were written ahead of their update, or after the last one."""
     versions: dict[str, int] = {
         topic: newest[topic].json()["version"] for topic in ("/episode", "/eval") if topic in newest
     }
     if "/policy" in newest:
         versions["/policy"] = Snapshot.decode(newest["/policy"].data).version
-    found.ahead = {(topic, version) for topic, version in versions.items() if version > last or topic == "/eval"}
-
-
-def _places(found: LoggedRun, version: int) -> tuple[Place, ...]:
-    entry = found.updates.get(version)
-    return () if entry is None else entry.places
+    return {(topic, version) for topic, version in versions.items() if version > last or topic == "/eval"}

@@ -1,4 +1,4 @@
-"""The farewell of a run whose learner died between writing the summary and telling its actors that all is done."""
+"""The shutdown notice of a run whose learner was killed between writing the summary and notifying its actors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from services.learner.endpoints.listening import open_listener
 from services.learner.resume.plan import repair_log
 
 WAIT_S = 10.0
-"""For the connections of those that lost their learner to come back; they ask for another several times a second."""
+"""Time for actors to connect after their learner was lost; they try several times a second."""
 
 QUIET_S = 2.0
 LONGEST_S = 60.0
@@ -34,9 +34,9 @@ def send_shutdown_notice(
     say: Callable[[str], None],
     wait_s: float = WAIT_S,
 ) -> None:
-    """Tell whoever still works for the run in `run_dir`, or asks to, that it is over; then close its log.
+    """Notify actors that work for the run in `run_dir`, or ask to, that it is over; then close its log.
 
-    That takes `wait_s`, and longer while somebody goes on asking, up to `LONGEST_S`.
+    This takes `wait_s`, and longer while requests keep arriving, up to `LONGEST_S`.
 
     Raises:
         SessionError, SettingsError: as for a learner that begins.
@@ -51,7 +51,10 @@ def send_shutdown_notice(
         asked_s = time.monotonic()
         request.reply(_answer(run, request.payload).encode())
 
-    say(f"{run}: its learner did not live to tell its actors that the run is over; telling them, for {wait_s:g} s")
+    say(
+        f"{run}: its learner was killed before it notified its actors that the run is over; notifying them for "
+        f"{wait_s:g} s"
+    )
     with make_listener_monitor(transport), open_listener(transport) as session:
         session.serve(JOIN, answer)
         orders = session.publisher(Keys(run).policy_notify)

@@ -78,8 +78,8 @@ def read_environments(checkpoint: Path) -> KeptEnvironments | None:
     return KeptEnvironments(kept.run, kept.version, kept.arrays[_GIVEN].tolist(), states)
 
 
-def put_aside(checkpoint: Path) -> None:
-    """Take a damaged checkpoint out of the way, with its environments: the files end in ".bad" then."""
+def quarantine(checkpoint: Path) -> None:
+    """Rename a damaged checkpoint, and its environments, to ".bad": it is not read any more, and can be examined."""
     for path in (checkpoint, checkpoint.with_suffix(ENVIRONMENTS)):
         if path.exists():
             path.replace(path.with_name(path.name + ".bad"))

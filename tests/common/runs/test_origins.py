@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from common.runs.origins import Difference, bits_can_differ, differences
-from common.runs.recorded_run import origin
+from common.runs.origins import Difference, bits_can_differ, differences, origin
 
 HERE = origin("abc", {"jax": "0.10.2", "python": "3.11.7", "brax": "1"}, {"cpu": "A", "cores": "2", "host": "here"})
 

@@ -13,7 +13,7 @@ from samples import rollout, settings
 
 from common.errors import LogReadError, SettingsError
 from common.runs.recorded_run import RecordedRun, open_run
-from common.runs.window import BATCHES, Window
+from common.runs.rollout_window import BATCHES, RolloutWindow
 from common.wire.messages import Rollout
 
 
@@ -161,7 +161,7 @@ def test_what_is_no_run(recording: Recording, tmp_path: Path) -> None:
 def test_the_window_is_bounded() -> None:
     """The oldest unused rollouts leave it when there is no room; those that were used give room."""
     unused: list[Rollout] = []
-    window = Window(1, unused.append)
+    window = RolloutWindow(1, unused.append)
     for seq in range(BATCHES + 2):
         window.add(rollout(0, "a", seq))
     assert [left.seq for left in unused] == [0, 1]
@@ -173,7 +173,7 @@ def test_the_window_is_bounded() -> None:
         LogReadError, match=r"update 2 names the rollout of slot 0, incarnation a, seq 1, .* the 8 roll"
     ):
         window.take(2, [(0, "a", 1)])
-    window.end()
+    window.close()
     assert [left.seq for left in unused[2:]] == [3, 4, 6, 7, 8, 9, 20, 21]
 
 

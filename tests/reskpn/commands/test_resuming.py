@@ -135,20 +135,20 @@ def test_a_finished_run_whose_log_is_not_closed(
     begun: list[Any], run_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: list[str]
 ) -> None:
     """Its learner was killed before its actors had heard that all is done: they are told, and nothing else begins."""
-    seen_off: list[tuple[Path, str]] = []
+    notified: list[tuple[Path, str]] = []
 
     def send_shutdown_notice(run_dir: Path, transport: TransportSettings, **_: object) -> None:
-        seen_off.append((run_dir, transport.endpoint))
+        notified.append((run_dir, transport.endpoint))
 
     monkeypatch.setattr(services.learner.resume.shutdown_notice, "send_shutdown_notice", send_shutdown_notice)
     words = ["learner", *(word.format(run_dir) for word in how)]
     (run_dir / "summary.json").write_text(json.dumps({"complete": True}))
     assert main(words) == 0
-    assert seen_off == []
+    assert notified == []
     (segment,) = (run_dir / "log").glob("*.mcap")
     os.truncate(segment, segment.stat().st_size - 1)
     assert main(words) == 0
-    assert seen_off == [(run_dir, "tcp/127.0.0.1:4000")]
+    assert notified == [(run_dir, "tcp/127.0.0.1:4000")]
     assert begun == []
 
 
@@ -183,22 +183,22 @@ def test_train_closes_the_log_of_a_finished_run(begun: list[Any], run_dir: Path)
     assert begun == []
 
 
-def test_auto_sees_off_the_actors_of_a_run_that_has_just_finished(
+def test_auto_notifies_the_actors_of_a_run_that_has_just_finished(
     begun: list[Any], newest: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A learner's container that is started again after its kill does not begin another run."""
-    seen_off: list[Path] = []
+    notified: list[Path] = []
     monkeypatch.setattr(
         services.learner.resume.shutdown_notice,
         "send_shutdown_notice",
-        lambda run_dir, *_, **__: seen_off.append(run_dir),
+        lambda run_dir, *_, **__: notified.append(run_dir),
     )
     (newest / "summary.json").write_text(json.dumps({"complete": True}))
     (segment,) = (newest / "log").glob("*.mcap")
     os.truncate(segment, segment.stat().st_size - 1)
     os.utime(newest, (2000.0, 2000.0))
     assert main(["learner", "--resume", "auto", *SAME]) == 0
-    assert [path.absolute() for path in seen_off] == [newest]
+    assert [path.absolute() for path in notified] == [newest]
     assert begun == []
 
 

@@ -53,7 +53,7 @@ def test_a_whole_log_agrees(verified: Verifier, recording: Recording) -> None:
     """Every update, bit for bit; a rollout that no update used does not matter."""
     verdict = verified(recording.messages)
     assert verdict.agrees
-    assert (verdict.updates, verdict.loose_from, verdict.divergence) == (UPDATES, None, None)
+    assert (verdict.updates, verdict.tolerance_from, verdict.divergence) == (UPDATES, None, None)
     assert verified.seen == [1, 2, 3, 4]
 
 
@@ -130,7 +130,7 @@ def test_other_bits_are_compared_in_their_metrics(verified: Verifier, recording:
     """Where they are allowed: an observation a little off makes other states from there on, and metrics much alike."""
     verdict = verified(recording.with_rollout(2, nudged), allow_other_bits=True)
     assert verdict.agrees
-    assert (verdict.updates, verdict.loose_from) == (UPDATES, 2)
+    assert (verdict.updates, verdict.tolerance_from) == (UPDATES, 2)
 
 
 def test_other_metrics_are_not_other_bits(verified: Verifier, recording: Recording) -> None:

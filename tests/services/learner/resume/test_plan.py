@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from samples import RUN, rollout, settings, snapshot
+from samples import RUN, rollout, settings, snapshot, update_record
 
 from common.errors import CheckpointError, LogReadError
 from common.log.writer import LogWriter
 from common.wire.messages import Environment, Snapshot, digest_arrays
-from services.learner.resume.plan import Resumption, resume_run
+from services.learner.resume.plan import Resumption, plan_resumption
 from services.learner.scheduling.slots import Start
 from services.learner.training.checkpoints import KeptEnvironments, write_checkpoint, write_environments
 
@@ -60,12 +60,8 @@ def write_log(
                 pair = [made(slot, version) for slot in (0, 1)]
                 for one in pair:
                     log.write("/rollout", one.encode())
-                names = [{"slot": o.slot, "generation": o.generation, "seq": o.seq} for o in pair]
                 log.write("/episode", {"version": version + 1, "count": 2, "return_mean": 3.0})
-                log.write(
-                    "/update",
-                    {"version": version + 1, "state_digest": snapshot(version + 1).digest, "rollouts": names},
-                )
+                log.write("/update", update_record(version + 1, snapshot(version + 1).digest, pair))
             if last:
                 for slot in range(unused):
                     log.write("/rollout", made(slot, updates).encode())
@@ -82,7 +78,7 @@ def keep(run_dir: Path, version: int, *, environments: bool = True, state: Snaps
 
 
 def resumed(run_dir: Path) -> Resumption:
-    found = resume_run(SETTINGS, run_dir)
+    found = plan_resumption(SETTINGS, run_dir)
     assert found is not None
     return found
 
@@ -93,7 +89,7 @@ def test_the_newest_complete_checkpoint(tmp_path: Path) -> None:
     for version in (3, 6):
         keep(tmp_path, version)
     found = resumed(tmp_path)
-    assert (found.run, found.version, found.by_log) == (RUN, 6, None)
+    assert (found.run, found.version, found.log_only_reason) == (RUN, 6, None)
     assert found.arrays is not None
     assert found.arrays["count"] == 6
     assert found.starts == [Start(0, 6, environment(slot, 6)) for slot in (0, 1)]
@@ -123,7 +119,7 @@ def test_rollouts_that_came_before_the_record_of_their_version(tmp_path: Path) -
     write_log(tmp_path, 7, unused=2, early=1)
     keep(tmp_path, 6)
     found = resumed(tmp_path)
-    assert found.by_log is None
+    assert found.log_only_reason is None
     assert [one.place for one in found.tail.rollouts(7)] == [(0, 0, 7), (1, 0, 7)]
     assert [one.place for one in found.tail.rollouts(8)] == [(0, 0, 8)]
     assert found.tail.rollouts(9) == []
@@ -135,7 +131,7 @@ def test_early_rollouts_of_a_successor(tmp_path: Path) -> None:
     write_log(tmp_path, 7, unused=2, early=2, generations=[(1, 8)])
     keep(tmp_path, 6)
     found = resumed(tmp_path)
-    assert found.by_log == "version 8 of the run was not acted by one and the same actor in every slot"
+    assert found.log_only_reason == "version 8 of the run was not acted by one and the same actor in every slot"
     assert found.starts == [Start(1), Start(2)]
 
 
@@ -170,9 +166,8 @@ def write_async_log(run_dir: Path, updates: int, *, segments: int) -> None:
                 # Those of the next update come before this one: actors work on.
                 for one in made[2 * version + 2 if version else 0 : 2 * version + 4]:
                     log.write("/rollout", one.encode())
-                names = [{"slot": 0, "generation": 0, "seq": seq} for seq in (2 * version, 2 * version + 1)]
-                record = {"version": version + 1, "state_digest": snapshot(version + 1).digest, "rollouts": names}
-                log.write("/update", record)
+                used = made[2 * version : 2 * version + 2]
+                log.write("/update", update_record(version + 1, snapshot(version + 1).digest, used))
             if segment == segments - 1:
                 for one in made[2 * updates + 2 :]:
                     log.write("/rollout", one.encode())
@@ -187,10 +182,10 @@ def test_a_run_in_async_mode(tmp_path: Path, segments: int) -> None:
     write_async_log(tmp_path, 7, segments=segments)
     for version in (3, 6):
         keep(tmp_path, version, environments=False)
-    found = resume_run(settings(mode="async"), tmp_path)
+    found = plan_resumption(settings(mode="async"), tmp_path)
     assert found is not None
     assert found.version == 6
-    assert found.by_log == "in async mode what actors make depends on the timing, and cannot be made again"
+    assert found.log_only_reason == "in async mode what actors make depends on the timing, and cannot be made again"
     assert found.starts == [Start(1), Start(0)]
     assert [one.place for one in found.tail.rollouts(6)] == [(0, 0, 12), (0, 0, 13)]
     assert [(one.seq, one.policy_version) for one in found.tail.rollouts(7)] == [(14, 6), (15, 6), (16, 7), (17, 7)]
@@ -232,7 +227,7 @@ def test_from_the_beginning(tmp_path: Path) -> None:
     """A run that had no checkpoint yet starts as it started, and acts all again."""
     write_log(tmp_path, 2)
     found = resumed(tmp_path)
-    assert (found.version, found.arrays, found.by_log) == (0, None, None)
+    assert (found.version, found.arrays, found.log_only_reason) == (0, None, None)
     assert found.starts == [Start(0), Start(0)]
     assert [one.place for one in found.tail.rollouts(0)] == [(0, 0, 0), (1, 0, 0)]
     assert found.notes[-1].startswith("resumed: from the beginning; environments of 0 slots; a tail of 2 updates")
@@ -240,10 +235,10 @@ def test_from_the_beginning(tmp_path: Path) -> None:
 
 def test_before_the_log_had_begun(tmp_path: Path) -> None:
     """There is nothing to go on from: the run is started."""
-    assert resume_run(SETTINGS, tmp_path) is None
+    assert plan_resumption(SETTINGS, tmp_path) is None
     (tmp_path / "log").mkdir()
     (tmp_path / "log" / "00000.mcap").write_bytes(b"")
-    assert resume_run(SETTINGS, tmp_path) is None
+    assert plan_resumption(SETTINGS, tmp_path) is None
 
 
 def test_a_tail_with_a_lost_actor_is_not_acted_again(tmp_path: Path) -> None:
@@ -251,7 +246,7 @@ def test_a_tail_with_a_lost_actor_is_not_acted_again(tmp_path: Path) -> None:
     write_log(tmp_path, 7, generations=[(1, 5)])
     keep(tmp_path, 3)
     found = resumed(tmp_path)
-    assert found.by_log == "version 5 of the run was not acted by one and the same actor in every slot"
+    assert found.log_only_reason == "version 5 of the run was not acted by one and the same actor in every slot"
     assert found.starts == [Start(1), Start(2)]
 
 
@@ -260,7 +255,7 @@ def test_the_last_version_needs_no_environments(tmp_path: Path) -> None:
     write_log(tmp_path, 10)
     keep(tmp_path, 10, environments=False)
     found = resumed(tmp_path)
-    assert (found.version, found.by_log, found.tail.after(10)) == (10, None, None)
+    assert (found.version, found.log_only_reason, found.tail.after(10)) == (10, None, None)
 
 
 def test_all_updates_made_but_the_last_checkpoint_lost(tmp_path: Path) -> None:
@@ -268,7 +263,7 @@ def test_all_updates_made_but_the_last_checkpoint_lost(tmp_path: Path) -> None:
     write_log(tmp_path, 10)
     keep(tmp_path, 6)
     found = resumed(tmp_path)
-    assert (found.version, found.by_log) == (6, "no environments are needed any more")
+    assert (found.version, found.log_only_reason) == (6, "no environments are needed any more")
 
 
 def test_a_tail_over_several_files(tmp_path: Path) -> None:
@@ -284,7 +279,7 @@ def test_without_beginning_and_checkpoint(tmp_path: Path) -> None:
     write_log(tmp_path, 9, segments=3)
     (tmp_path / "log" / "00000.mcap").unlink()
     with pytest.raises(CheckpointError, match="no checkpoint to go on from, and its log begins at update 4"):
-        resume_run(SETTINGS, tmp_path)
+        plan_resumption(SETTINGS, tmp_path)
 
 
 def test_what_was_written_ahead_of_its_update(tmp_path: Path) -> None:
@@ -305,4 +300,4 @@ def test_a_log_of_another_release(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "log") as log:
         log.write("/rollout", b"\x80")
     with pytest.raises(LogReadError, match="resume it with the release that wrote it"):
-        resume_run(SETTINGS, tmp_path)
+        plan_resumption(SETTINGS, tmp_path)

@@ -11,18 +11,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from samples import RUN, rollout, settings
+from samples import RUN, recorded_update, rollout, settings
 
+from common.runs.recorded_updates import RecordedUpdate
 from common.wire.messages import Rollout
 from services.learner.loop import TrainingLoop
 from services.learner.resume.plan import Resumption
 from services.learner.resume.resumed_replay import ResumedReplay
-from services.learner.resume.tail import LoggedUpdate, Tail
+from services.learner.resume.tail import Tail
 from services.learner.scheduling.slots import Start
 from services.learner.training.checkpoints import Checkpoints
 
 SETTINGS = settings(log={"checkpoint_every": 2})
-AFRESH = (Start(1), Start(1))
+FRESH_STARTS = (Start(1), Start(1))
 
 
 class HubStandIn:
@@ -49,14 +50,14 @@ def pair(version: int) -> list[Rollout]:
     return [rollout(slot, "ab"[slot], version, version) for slot in (0, 1)]
 
 
-def updates() -> Iterator[LoggedUpdate]:
-    return (LoggedUpdate(version, f"d{version}", pair(version - 1)) for version in (5, 6))
+def updates() -> Iterator[RecordedUpdate]:
+    return (recorded_update(version, f"d{version}", pair(version - 1)) for version in (5, 6))
 
 
 @pytest.fixture
 def resumption() -> Resumption:
     """From version 4; the log has updates 5 and 6, and one rollout of version 6."""
-    return Resumption("r", 4, {}, (Start(0, 4), Start(0, 4)), AFRESH, Tail(6, updates(), pair(6)[:1]))
+    return Resumption("r", 4, {}, (Start(0, 4), Start(0, 4)), FRESH_STARTS, Tail(6, updates(), pair(6)[:1]))
 
 
 class TrainerStandIn:
@@ -108,8 +109,8 @@ def test_the_actors_act_again(resumption: Resumption) -> None:
     assert [one["hand_in"] for one in begun] == [False, False, True, False, True]
     assert all(one["collect"] and one["settled"] == () for one in begun)
     assert [sides.again.covers(version) for version in (4, 5, 6)] == [True, True, False]
-    assert sides.again.by_log(4) is None
-    assert not sides.again.give_up_acting(4)
+    assert sides.again.logged_rollouts(4) is None
+    assert not sides.again.fall_back_to_log(4)
     assert sides.events.empty()
 
 
@@ -119,7 +120,7 @@ def test_rollouts_of_the_version_after_the_last(resumption: Resumption) -> None:
     sides = Sides(dataclasses.replace(resumption, tail=Tail(6, updates(), ahead)))
     begun = [sides.begin(version) for version in (4, 5, 6, 7, 8)]
     assert [places(one["logged"]) for one in begun[2:]] == [[(0, 0, 6), (1, 0, 6)], [(1, 0, 7)], []]
-    by_log = Sides(dataclasses.replace(resumption, tail=Tail(6, updates(), ahead), by_log="an actor was lost"))
+    by_log = Sides(dataclasses.replace(resumption, tail=Tail(6, updates(), ahead), log_only_reason="an actor was lost"))
     begun = [by_log.begin(version) for version in (4, 5, 6, 7)]
     assert [places(one["settled"]) for one in begun[2:]] == [[(0, 0, 6), (1, 0, 6)], [(1, 0, 7)]]
     assert by_log.begin(8)["settled"] == ()
@@ -134,16 +135,16 @@ def test_the_last_version_collects_nothing(resumption: Resumption) -> None:
 
 def test_without_acting_the_log_decides(resumption: Resumption) -> None:
     """Nobody collects before its end; there, the rollouts that no update has used are settled."""
-    sides = Sides(dataclasses.replace(resumption, by_log="an actor was lost"))
+    sides = Sides(dataclasses.replace(resumption, log_only_reason="an actor was lost"))
     assert sides.events.get_nowait()[1] == "resumed_by_log"
     assert sides.begin(4)["collect"] is False
-    found = sides.again.by_log(4)
+    found = sides.again.logged_rollouts(4)
     assert found is not None
     assert places(found) == [(0, 0, 4), (1, 0, 4)]
     sides.begin(5)
     begun = sides.begin(6)
     assert (begun["collect"], begun["logged"], places(begun["settled"])) == (True, (), [(0, 0, 6)])
-    assert sides.again.by_log(6) is None
+    assert sides.again.logged_rollouts(6) is None
 
 
 def test_acting_again_that_fails_is_given_up(resumption: Resumption) -> None:
@@ -151,12 +152,12 @@ def test_acting_again_that_fails_is_given_up(resumption: Resumption) -> None:
     sides = Sides(resumption)
     sides.begin(4)
     sides.hub.failed = "reward differs"
-    assert sides.again.give_up_acting(4)
+    assert sides.again.fall_back_to_log(4)
     level, name, text = sides.events.get_nowait()
     assert (level, name) == ("warning", "resumed_differs")
     assert "acting again does not give what is in the log: reward differs. The updates up to 6 are made from" in text
-    assert sides.hub.started_over == [(AFRESH, (), False)]
-    found = sides.again.by_log(4)
+    assert sides.hub.started_over == [(FRESH_STARTS, (), False)]
+    found = sides.again.logged_rollouts(4)
     assert found is not None
     assert places(found) == [(0, 0, 4), (1, 0, 4)]
 
@@ -167,10 +168,10 @@ def test_acting_again_that_fails_at_the_end(resumption: Resumption) -> None:
     for version in (4, 5, 6):
         sides.begin(version)
     sides.hub.failed = "slot 0 lost its actor"
-    assert sides.again.give_up_acting(6)
+    assert sides.again.fall_back_to_log(6)
     ((starts, settled, collect),) = sides.hub.started_over
-    assert (starts, places(settled), collect) == (AFRESH, [(0, 0, 6)], True)
-    assert sides.again.by_log(6) is None
+    assert (starts, places(settled), collect) == (FRESH_STARTS, [(0, 0, 6)], True)
+    assert sides.again.logged_rollouts(6) is None
 
 
 def test_digests_are_compared(resumption: Resumption) -> None:

@@ -19,7 +19,7 @@ from common.wire.endpoint import free_port
 from common.wire.keys import JOIN, Keys
 from common.wire.messages import JoinReply, Orders
 from common.wire.session import Session, open_session
-from services.learner.resume import shutdown_notice as farewell_of
+from services.learner.resume import shutdown_notice
 from services.learner.resume.shutdown_notice import send_shutdown_notice
 
 DEADLINE_S = 15.0
@@ -50,22 +50,24 @@ def test_actors_hear_it_and_the_log_is_closed(run_dir: Path) -> None:
     assert LogReader(run_dir).torn
     transport = TransportSettings(endpoint=f"tcp/127.0.0.1:{free_port()}")
     stop, said = threading.Event(), list[str]()
-    farewell = threading.Thread(
+    notice = threading.Thread(
         target=send_shutdown_notice,
         args=(run_dir, transport),
         kwargs={"stop": stop, "say": said.append, "wait_s": DEADLINE_S},
     )
-    farewell.start()
+    notice.start()
     with open_session(connect=[transport.endpoint], connect_timeout_s=DEADLINE_S, max_message_size=1 << 20) as session:
         for _ in range(2):
             reply = first_answer(session)
             assert (reply.accepted, reply.finished, reply.final, reply.run) == (False, True, True, "run-1")
         assert LogReader(run_dir).torn, "the log is closed after the others have heard it, not before"
         stop.set()
-        farewell.join(DEADLINE_S)
+        notice.join(DEADLINE_S)
     assert not LogReader(run_dir).torn
     assert [message.topic for message in LogReader(run_dir).messages()] == ["/event"]
-    assert said[0] == "run-1: its learner did not live to tell its actors that the run is over; telling them, for 15 s"
+    assert said[0] == (
+        "run-1: its learner was killed before it notified its actors that the run is over; notifying them for 15 s"
+    )
     assert said[1].startswith("repaired ")
 
 
@@ -73,14 +75,14 @@ def test_another_run_is_not_over(run_dir: Path) -> None:
     """Who wants to work for another run hears what he would of a learner: that he is wrong here."""
     transport = TransportSettings(endpoint=f"tcp/127.0.0.1:{free_port()}")
     stop = threading.Event()
-    farewell = threading.Thread(
+    notice = threading.Thread(
         target=send_shutdown_notice, args=(run_dir, transport), kwargs={"stop": stop, "say": lambda _: None}
     )
-    farewell.start()
+    notice.start()
     with open_session(connect=[transport.endpoint], connect_timeout_s=DEADLINE_S, max_message_size=1 << 20) as session:
         reply = first_answer(session, run="another")
         stop.set()
-        farewell.join(DEADLINE_S)
+        notice.join(DEADLINE_S)
     assert (reply.accepted, reply.finished, reply.final) == (False, False, True)
     assert reply.reason == "this learner runs 'run-1', not 'another'"
 
@@ -89,21 +91,21 @@ def test_who_has_joined_hears_it_in_the_orders(run_dir: Path) -> None:
     """An evaluator in the middle of an episode asks for no run until that is over."""
     transport = TransportSettings(endpoint=f"tcp/127.0.0.1:{free_port()}")
     stop, heard = threading.Event(), Queue[Orders]()
-    farewell = threading.Thread(
+    notice = threading.Thread(
         target=send_shutdown_notice, args=(run_dir, transport), kwargs={"stop": stop, "say": lambda _: None}
     )
     with open_session(connect=[transport.endpoint], max_message_size=1 << 20) as session:
         session.subscribe(Keys("run-1").policy_notify, lambda _, data: heard.put(Orders.decode(data)))
-        farewell.start()
+        notice.start()
         orders = heard.get(timeout=DEADLINE_S)
         stop.set()
-        farewell.join(DEADLINE_S)
+        notice.join(DEADLINE_S)
     assert (orders.run, orders.finished, orders.collect) == ("run-1", True, {})
 
 
 def test_it_waits_for_those_who_ask(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not less than its time, and then until nobody has asked for a while."""
-    monkeypatch.setattr(farewell_of, "QUIET_S", 0.0)
+    monkeypatch.setattr(shutdown_notice, "QUIET_S", 0.0)
     began_s = time.monotonic()
     transport = TransportSettings(endpoint=f"tcp/127.0.0.1:{free_port()}")
     send_shutdown_notice(run_dir, transport, stop=threading.Event(), say=lambda _: None, wait_s=0.7)

@@ -1,4 +1,4 @@
-"""The tail of a resumed run's log: its updates in order, and what differs from what is made again."""
+"""The tail of a resumed run's log, and whether acting can reproduce it."""
 
 from __future__ import annotations
 
@@ -7,24 +7,14 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from samples import rollout
+from samples import recorded_update, rollout
 
 from common.errors import LogReadError
-from common.log.records import LogMessage, encode_json
+from common.runs.recorded_updates import RecordedUpdate
 from common.wire.messages import Rollout
-from services.learner.resume.tail import LoggedUpdate, Tail, divergence, read_updates
+from services.learner.resume.tail import Tail, divergence
 from services.learner.scheduling.comparison import difference
 from services.learner.scheduling.slots import Start
-
-
-def logged(*made: Rollout) -> list[LogMessage]:
-    return [LogMessage("/rollout", 0, 0, one.encode()) for one in made]
-
-
-def update(version: int, *used: Rollout) -> LogMessage:
-    names = [{"slot": one.slot, "generation": one.generation, "seq": one.seq} for one in used]
-    record = {"version": version, "state_digest": f"d{version}", "rollouts": names}
-    return LogMessage("/update", 0, 0, encode_json(record))
 
 
 def pair(version: int) -> list[Rollout]:
@@ -32,28 +22,8 @@ def pair(version: int) -> list[Rollout]:
     return [rollout(slot, "ab"[slot], version, version) for slot in (0, 1)]
 
 
-# -- reading -----------------------------------------------------------------------------------------------
-
-
-def test_updates_come_with_the_rollouts_they_name() -> None:
-    """Those after the checkpoint, in the order of their names, also where the next version's came before the record."""
-    first, second = pair(3), pair(4)
-    log = [*logged(*pair(2)), update(3, *pair(2)), *logged(*first, second[1]), update(4, *first), *logged(second[0])]
-    log.append(update(5, *second))
-    found = list(read_updates(log, 3))
-    assert [(one.version, one.digest) for one in found] == [(4, "d4"), (5, "d5")]
-    assert [[made.place for made in one.rollouts] for one in found] == [[(0, 0, 3), (1, 0, 3)], [(0, 0, 4), (1, 0, 4)]]
-    assert (found[1].rollouts[0].obs == second[0].obs).all()
-
-
-def test_an_update_without_its_rollout_is_an_error() -> None:
-    """Written ahead, it must be there: such a log was tampered with."""
-    with pytest.raises(LogReadError, match="update 4 names rollout 3 of slot 1, which is not in the log before it"):
-        list(read_updates([*logged(pair(3)[0]), update(4, *pair(3))], 3))
-
-
-def updates(*versions: int) -> Iterator[LoggedUpdate]:
-    return (LoggedUpdate(version, f"d{version}", pair(version - 1)) for version in versions)
+def updates(*versions: int) -> Iterator[RecordedUpdate]:
+    return (recorded_update(version, f"d{version}", pair(version - 1)) for version in versions)
 
 
 def test_a_tail_gives_what_belongs_to_a_version() -> None:
@@ -63,7 +33,7 @@ def test_a_tail_gives_what_belongs_to_a_version() -> None:
     assert [made.seq for made in tail.rollouts(3)] == [3, 3]
     found = tail.after(4)
     assert found is not None
-    assert (found.version, found.digest) == (5, "d5")
+    assert (found.version, found.state_digest) == (5, "d5")
     assert tail.after(4) is found
     assert tail.rollouts(5) == unused
     assert tail.after(5) is None

@@ -13,7 +13,7 @@ from common.errors import CheckpointError
 from services.learner.training.checkpoints import (
     KeptEnvironments,
     list_checkpoints,
-    put_aside,
+    quarantine,
     read_checkpoint,
     read_environments,
     write_checkpoint,
@@ -150,7 +150,7 @@ def test_what_is_put_aside_is_not_listed(tmp_path: Path) -> None:
     """State and environments stay, under another name."""
     path = write_checkpoint(tmp_path, snapshot(7))
     write_environments(tmp_path, environments(7))
-    put_aside(path)
+    quarantine(path)
     assert list_checkpoints(tmp_path) == []
     names = sorted(path.name for path in (tmp_path / "checkpoints").iterdir())
     assert names == ["00000007.ckpt.bad", "00000007.env.bad"]

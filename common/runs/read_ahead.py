@@ -1,4 +1,4 @@
-"""An iterator that works in a thread of its own, a few items ahead of whoever consumes it."""
+"""Read-ahead: an iterator that works in a thread of its own, a few items ahead of its consumer."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ _POLL_S = 0.1
 
 @dataclass(frozen=True)
 class _End(Generic[Item]):
-    """The last thing in the queue: how the iterator ended."""
+    """The last entry of the queue: the error that ended the iterator, if any."""
 
     error: BaseException | None
 
 
 @contextmanager
-def ahead(items: Iterator[Item], depth: int = 2) -> Iterator[Iterator[Item]]:
-    """The same items, with up to `depth` of them made in advance; what `items` raises comes out in its place.
+def read_ahead(items: Iterator[Item], depth: int = 2) -> Iterator[Iterator[Item]]:
+    """The same items, with up to `depth` of them produced in advance; an error of `items` is raised in its place.
 
     The thread ends with the block, also where not all was consumed.
     """
-    made: queue.Queue[Item | _End[Item]] = queue.Queue(depth)
-    left = threading.Event()
+    produced: queue.Queue[Item | _End[Item]] = queue.Queue(depth)
+    abandoned = threading.Event()
 
     def put(item: Item | _End[Item]) -> None:
-        while not left.is_set():
+        # A plain put would wait for ever on a consumer that has left.
+        while not abandoned.is_set():
             try:
-                return made.put(item, timeout=_POLL_S)
+                return produced.put(item, timeout=_POLL_S)
             except queue.Full:
                 continue
 
@@ -42,7 +43,7 @@ def ahead(items: Iterator[Item], depth: int = 2) -> Iterator[Iterator[Item]]:
         try:
             for item in items:
                 put(item)
-                if left.is_set():
+                if abandoned.is_set():
                     return
         except BaseException as caught:
             error = caught
@@ -51,15 +52,15 @@ def ahead(items: Iterator[Item], depth: int = 2) -> Iterator[Iterator[Item]]:
     thread = threading.Thread(target=work, name="read-ahead", daemon=True)
     thread.start()
     try:
-        yield _taken(made)
+        yield _consume(produced)
     finally:
-        left.set()
+        abandoned.set()
         thread.join()
 
 
-def _taken(made: queue.Queue[Item | _End[Item]]) -> Iterator[Item]:
+def _consume(produced: queue.Queue[Item | _End[Item]]) -> Iterator[Item]:
     while True:
-        item = made.get()
+        item = produced.get()
         if isinstance(item, _End):
             if item.error is not None:
                 raise item.error

@@ -1,4 +1,4 @@
-"""The rollouts that were read and may still be used: boundedly many, for use comes soon after logging."""
+"""The rollouts read from a log that an update may still use: a bounded number, for use comes soon after logging."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ BATCHES = 8
 Key = tuple[int, str, int]
 
 
-class Window:
+class RolloutWindow:
     """Rollouts by (slot, incarnation, seq) between their place in the log and their use.
 
     Args:
@@ -22,12 +22,12 @@ class Window:
     """
 
     def __init__(self, batch: int, on_unused: Callable[[Rollout], None]) -> None:
-        self._room = BATCHES * batch
+        self._capacity = BATCHES * batch
         self._on_unused = on_unused
         self._rollouts: dict[Key, Rollout] = {}
 
     def add(self, rollout: Rollout) -> None:
-        """Put in the newest rollout. Where there is no room, the oldest leaves.
+        """Add the newest rollout; the oldest leaves where the window is full.
 
         Raises:
             LogReadError: the same rollout is there already.
@@ -35,11 +35,11 @@ class Window:
         if rollout.key in self._rollouts:
             raise LogReadError(f"the log holds the {_name(rollout.key)} twice; it is not as a learner writes it")
         self._rollouts[rollout.key] = rollout
-        if len(self._rollouts) > self._room:
+        if len(self._rollouts) > self._capacity:
             self._on_unused(self._rollouts.pop(next(iter(self._rollouts))))
 
     def take(self, version: int, keys: Sequence[Key]) -> list[Rollout]:
-        """Take out the rollouts that update `version` used, in the order of `keys`.
+        """Remove and return the rollouts that update `version` used, in the order of `keys`.
 
         Raises:
             LogReadError: one is not there.
@@ -47,13 +47,18 @@ class Window:
         for key in keys:
             if key not in self._rollouts:
                 raise LogReadError(
-                    f"update {version} names the {_name(key)}, which is not among the {self._room} rollouts in the "
+                    f"update {version} names the {_name(key)}, which is not among the {self._capacity} rollouts in the "
                     "log before it, or was used before; restore the log from a copy"
                 )
         return [self._rollouts.pop(key) for key in keys]
 
-    def end(self) -> None:
-        """All rollouts that are left were not used."""
+    def discard(self, keys: Sequence[Key]) -> None:
+        """Remove rollouts that an update used which is not read itself, as far as they are there."""
+        for key in keys:
+            self._rollouts.pop(key, None)
+
+    def close(self) -> None:
+        """End of the log: all rollouts that are left were not used."""
         while self._rollouts:
             self._on_unused(self._rollouts.pop(next(iter(self._rollouts))))
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from common.runs.ahead import ahead
+from common.runs.read_ahead import read_ahead
 
 DEADLINE_S = 10.0
 
@@ -18,7 +18,7 @@ def names() -> set[str]:
 
 def test_the_same_items_in_the_same_order() -> None:
     """Also where there are many more than are made in advance."""
-    with ahead(iter(range(100)), depth=3) as items:
+    with read_ahead(iter(range(100)), depth=3) as items:
         assert list(items) == list(range(100))
     assert "read-ahead" not in names()
 
@@ -30,7 +30,7 @@ def test_an_error_comes_in_its_place() -> None:
         yield 1
         raise ValueError("here")
 
-    with ahead(broken()) as items:
+    with read_ahead(broken()) as items:
         assert next(items) == 1
         with pytest.raises(ValueError, match="here"):
             next(items)
@@ -48,7 +48,7 @@ def test_works_while_the_consumer_does_not() -> None:
                 third.set()
             yield number
 
-    with ahead(counted(), depth=2):
+    with read_ahead(counted(), depth=2):
         assert third.wait(DEADLINE_S)
     assert made == [0, 1, 2]
     assert "read-ahead" not in names()
