@@ -23,6 +23,8 @@ PHYSICS = ("auto", "mjx", "native")
 class AlgorithmSettings(Section):
     """Actor-critic networks and their objective (paper, Table 1; PureJaxRL where the paper is silent)."""
 
+    objective: Literal["auto", "clip", "dpo"] = "auto"
+    """what trains the policy's networks: PPO's clip, DPO's drift, or auto for the learner's own"""
     gamma: Fraction = 0.99
     """discount"""
     gae_lambda: Fraction = 0.95

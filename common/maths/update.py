@@ -8,7 +8,7 @@ each step before it is seen; rewards are scaled likewise (PureJaxRL).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -56,6 +56,13 @@ class Update:
     @property
     def representation(self) -> Representation[Any, Any]:
         return self.step.representation
+
+    @property
+    def objective(self) -> Literal["clip", "dpo"]:
+        """The networks' objective: that of the settings, or the learner's own."""
+        if self.algorithm.objective != "auto":
+            return self.algorithm.objective
+        return "dpo" if self.learner.objective == "dpo" else "clip"
 
     def __call__(self, state: LearnerState, batch: Batch) -> tuple[LearnerState, Metrics]:
         """The next state, and metrics as float32 scalars.
@@ -215,7 +222,7 @@ class Update:
         log_ratio = gaussians.log_prob(total, mean.log_std, samples.action) - samples.log_prob
         ratio = jnp.exp(log_ratio)
         advantage = objectives.normalised(samples.advantage)
-        if self.learner.objective == "dpo":
+        if self.objective == "dpo":
             gain = objectives.drifted(log_ratio, advantage, alpha=settings.dpo_alpha, beta=settings.dpo_beta)
         else:
             gain = objectives.clipped(ratio, advantage, clip=settings.clip)
