@@ -1,6 +1,6 @@
-"""An actor that has nothing to compute: it joins, beats, and pushes one and the same rollout under new numbers.
+"""An actor without computation: it joins, sends heartbeats and pushes the same rollout under increasing numbers.
 
-`python -m benchmarks.ingest_actor ENDPOINT`, until the learner says that the run is over. It loads no JAX.
+`python -m benchmarks.ingest_actor ENDPOINT` works until the run is over. It does not import JAX.
 """
 
 from __future__ import annotations
@@ -15,51 +15,52 @@ from common.config.settings import RunSettings
 from common.runs.rollout_shape import rollout_shape
 from common.wire.messages import Orders, Rollout, RolloutShape
 from common.wire.session import Session, open_session
-from services.actor.heartbeat import Heart
-from services.worker.link import Link, Membership, join
+from services.actor.heartbeat import HeartbeatSender
+from services.actor.link import ActorLink
+from services.worker.joining import Assignment, join
 
 CONNECT_S = 60.0
 
 
 def act(endpoint: str) -> None:
-    """Work for the learner there to the end of its run."""
+    """Work for the learner at `endpoint` until its run is over."""
     settings = RunSettings()
     stop = threading.Event()
     with open_session(
         connect=[endpoint], connect_timeout_s=CONNECT_S, max_message_size=settings.transport.max_message_bytes
     ) as session:
-        member = join(
+        assignment = join(
             session, run="", physics="native", versions={}, hardware={}, stop=stop, waiting=lambda reason: None
         )
-        if member is not None:
-            _live(session, member, stop)
+        if assignment is not None:
+            _work(session, assignment, stop)
 
 
-def _live(session: Session, member: Membership, stop: threading.Event) -> None:
-    link = Link(session, member, push_timeout_s=member.settings.transport.push_timeout_s)
-    arrays = made_up(rollout_shape(member.settings))
+def _work(session: Session, assignment: Assignment, stop: threading.Event) -> None:
+    link = ActorLink(session, assignment, push_timeout_s=assignment.settings.transport.push_timeout_s)
+    arrays = made_up(rollout_shape(assignment.settings))
     orders: Orders | None = None
     version, made, seq = -1, 0, 0
-    with Heart(link, member) as heart:
-        heart.state("waiting")
+    with HeartbeatSender(link, assignment) as heartbeats:
+        heartbeats.set_state("waiting")
         while True:
             orders = link.orders(newer_than=orders, timeout_s=CONNECT_S) or orders
             if orders is None or orders.finished:
                 return
-            wanted = orders.collect[member.slot]
+            wanted = orders.collect[assignment.slot]
             if version != orders.version and wanted:
-                heart.version = version = link.snapshot().version
+                heartbeats.version = version = link.snapshot().version
                 made = 0
             while version == orders.version and made < wanted:
-                heart.state("pushing")
-                if not link.push(_numbered(member, seq, version, arrays), stop):
+                heartbeats.set_state("pushing")
+                if not link.push(_numbered(assignment, seq, version, arrays), stop):
                     break
                 made, seq = made + 1, seq + 1
-                heart.state("waiting")
+                heartbeats.set_state("waiting")
 
 
 def made_up(shape: RolloutShape) -> dict[str, np.ndarray]:
-    """Arrays of a rollout in which no episode ended, out of a fixed seed."""
+    """Arrays of a rollout in which no episode ended, drawn from a fixed seed."""
     draw = np.random.default_rng(0).standard_normal
     steps, envs, branches = shape.num_steps, shape.num_envs, shape.branches
     sizes = {
@@ -80,16 +81,16 @@ def made_up(shape: RolloutShape) -> dict[str, np.ndarray]:
     return {**numbers, **flags, **mirrored, "episode_length": np.zeros(0, np.int32)}
 
 
-def _numbered(member: Membership, seq: int, version: int, arrays: dict[str, np.ndarray]) -> Rollout:
+def _numbered(assignment: Assignment, seq: int, version: int, arrays: dict[str, np.ndarray]) -> Rollout:
     return Rollout(
-        run=member.run,
-        slot=member.slot,
-        incarnation=member.incarnation,
+        run=assignment.run,
+        slot=assignment.slot,
+        incarnation=assignment.incarnation,
         seq=seq,
         policy_version=version,
         t_ns=time.time_ns(),
         timing={},
-        generation=member.generation,
+        generation=assignment.generation,
         **arrays,
     )
 

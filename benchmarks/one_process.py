@@ -20,11 +20,12 @@ from common.config.settings import RunSettings
 from common.config.sources import add_options, load
 from common.errors import ReskpnError, SettingsError
 from common.physics import engines
-from common.runtime import prepare_jax
-from common.wire.messages import Rollout
-from services.actor.collector import Collector, Place
+from common.runtime import enable_compilation_cache
+from services.actor.collector import Collector, SlotGeneration
+from services.actor.rollouts import rollout_message
 from services.learner.reporting.statistics import Episodes
 from services.learner.training.trainer import Trainer
+from services.worker.joining import Assignment
 from services.worker.policy_reader import PolicyReader
 
 UPDATES = 40
@@ -48,9 +49,10 @@ class OneProcess:
 
     def __init__(self, settings: RunSettings) -> None:
         """`settings.actors` must be 1. Compiles everything."""
+        self._assignment = Assignment("benchmark", 0, 0, "one-process", settings)
         self._trainer = Trainer(settings)
         self._reader = PolicyReader(settings)
-        self._collector = Collector(settings, Place(slot=0, generation=0), self._reader)
+        self._collector = Collector(settings, SlotGeneration(slot=0, generation=0), self._reader)
         self._collector.compile()
         self._trainer.compile()
 
@@ -62,28 +64,20 @@ class OneProcess:
         """Collect with the newest policy and update on that."""
         began_s = time.perf_counter()
         policy = self._reader.read(self._trainer.policy_arrays())
-        experience = self._collector.collect(policy)
-        rollout = Rollout(
-            run="benchmark",
-            slot=0,
-            incarnation="one-process",
-            seq=self._collector.seq,
-            policy_version=self._trainer.version,
-            t_ns=0,
-            timing=experience.timing,
-            generation=0,
-            **experience.arrays,
+        collected, timing = self._collector.collect(policy)
+        rollout = rollout_message(
+            collected, self._assignment, seq=self._collector.seq, version=self._trainer.version, timing=timing
         )
         self._collector.keep()
         collected_s = time.perf_counter()
         self._trainer.update([rollout])
         seconds = {
-            "policy": experience.timing["collect"],
+            "policy": timing["collect"],
             "learner": time.perf_counter() - collected_s,
-            "hand_over": collected_s - began_s - sum(experience.timing.values()),
+            "hand_over": collected_s - began_s - sum(timing.values()),
         }
-        if "physics" in experience.timing:
-            seconds["physics"] = experience.timing["physics"]
+        if "physics" in timing:
+            seconds["physics"] = timing["physics"]
         return Step(Episodes.of([rollout]), seconds)
 
     def digest(self) -> str:
@@ -96,8 +90,8 @@ def prepare() -> None:
 
     The learner alone would leave asynchronous dispatch on; its update is as fast without, and gives the same bits.
     """
-    prepare_jax()
-    engines.prepare_jax()
+    enable_compilation_cache()
+    engines.require_synchronous_dispatch()
 
 
 def measure(settings: RunSettings, *, warm_up: int) -> dict[str, Any]:

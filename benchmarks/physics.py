@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.machine import describe, machine
 from common.errors import ReskpnError
-from common.physics.engines import MJX, NATIVE, PHYSICS, prepare_jax
+from common.physics.engines import MJX, NATIVE, PHYSICS, require_synchronous_dispatch
 from common.physics.environments import BatchedEnvironment, EnvState, Transition, make_environment
 from common.tasks import TASKS
 
@@ -153,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     options.num_envs = options.num_envs or (64 if options.agreement else 2048)
     try:
-        prepare_jax()
+        require_synchronous_dispatch()
         for line in describe(machine()):
             print(line)
         print()

@@ -29,7 +29,7 @@ from jax import Array
 from common.errors import ReskpnError
 from common.physics import engines
 from common.physics.environments import BatchedEnvironment, EnvState, make_environment
-from common.runtime import prepare_jax
+from common.runtime import enable_compilation_cache
 
 Parameters = dict[str, Any]
 Learned = tuple[Parameters, optax.OptState]
@@ -287,8 +287,8 @@ def train(recipe: Recipe, updates: int, seed: int) -> dict[str, Any]:
 
 def prepare() -> None:
     """JAX as in the services. Call it before anything is computed."""
-    prepare_jax()
-    engines.prepare_jax()
+    enable_compilation_cache()
+    engines.require_synchronous_dispatch()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -24,7 +24,7 @@ from common.errors import ReskpnError
 from common.log.reader import LogReader
 from common.runs.read_ahead import read_ahead
 from common.runs.recorded_run import open_run
-from common.runtime import prepare_jax
+from common.runtime import enable_compilation_cache
 from services.learner.training.trainer import Trainer
 from services.replay.verify import Verdict, verify
 
@@ -93,7 +93,7 @@ def table(verdict: Verdict, reading: Reading) -> Iterator[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     given, settings = _parser().parse_known_args(arguments)
-    prepare_jax()
+    enable_compilation_cache()
     found = machine()
     try:
         with tempfile.TemporaryDirectory(prefix="reskpn-replay-") as folder:

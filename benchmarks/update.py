@@ -29,7 +29,7 @@ from common.maths.networks import make_networks
 from common.maths.rkhs.make import make_representation
 from common.maths.state import Batch, LearnerState, Mirror, initial_state
 from common.maths.update import make_update
-from common.runtime import prepare_jax
+from common.runtime import enable_compilation_cache
 from common.tasks import TASKS
 
 PAPER = """\
@@ -173,7 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--json", action="store_true", help="one JSON object in place of the tables")
     given = parser.parse_args(arguments)
-    prepare_jax()
+    enable_compilation_cache()
     found = machine()
     cases = [*CASES, *([WHOLE_EXACT] if given.whole_exact else [])]
     if given.only:

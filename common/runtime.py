@@ -1,4 +1,4 @@
-"""What this machine and its software are, and JAX made ready for a service."""
+"""The machine, the software versions, and JAX's compilation cache."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CACHE_VARIABLE = "RESKPN_CACHE_DIR"
 
 
 def software_versions() -> dict[str, str]:
-    """Versions of Python and of every package that takes part; "absent" for one that is not installed."""
+    """Versions of Python and of the packages that affect a run; "absent" for one that is not installed."""
     found = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
@@ -40,7 +40,7 @@ def software_versions() -> dict[str, str]:
 
 
 def hardware() -> dict[str, str]:
-    """Host, CPU model, cores that this process may use, and JAX's devices."""
+    """Host name, CPU model, number of cores this process may use, and JAX's devices."""
     devices = jax.devices()
     return {
         "host": platform.node(),
@@ -53,7 +53,7 @@ def hardware() -> dict[str, str]:
 
 
 def cpu_model() -> str:
-    """The name of the processor, as the system knows it."""
+    """The processor's model name as the operating system reports it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -62,8 +62,8 @@ def cpu_model() -> str:
     return models[0] if models else platform.processor() or platform.machine()
 
 
-def prepare_jax() -> None:
-    """Keep compiled programs between runs, in $RESKPN_CACHE_DIR or the user's cache folder."""
+def enable_compilation_cache() -> None:
+    """Keep JAX's compiled programs in $RESKPN_CACHE_DIR or the user's cache directory."""
     chosen = os.environ.get(CACHE_VARIABLE) or os.path.join(
         os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "reskpn"
     )
@@ -72,7 +72,7 @@ def prepare_jax() -> None:
 
 
 def source_commit() -> str:
-    """The git commit of this source tree, "+" where files differ from it; "unknown" outside a checkout."""
+    """The git commit of this source tree, with "+" if files differ from it; "unknown" outside a checkout."""
     folder = Path(__file__).parent
 
     def git(*words: str) -> str | None:

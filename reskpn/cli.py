@@ -180,15 +180,15 @@ def _add_following(parser: argparse.ArgumentParser, verb: str, service: str) -> 
 def _add_evaluator(commands: Any) -> None:
     def call(given: argparse.Namespace) -> int:
         from reskpn.supervision.stopping import stopping
-        from services.evaluator.service import Work, run_evaluator
+        from services.evaluator.service import EvaluationOptions, run_evaluator
 
         base = load(config=given.config)
         physics = given.physics or base.physics
-        work = Work(given.every, given.episodes, given.positions, physics, given.threads)
+        options = EvaluationOptions(given.every, given.episodes, given.positions, physics, given.threads)
         with stopping(supervised=given.supervised) as stop:
             return run_evaluator(
                 over(base.transport, given),
-                work,
+                options,
                 run=given.run,
                 connect_timeout_s=given.connect_timeout,
                 rejoin_timeout_s=given.rejoin_timeout,

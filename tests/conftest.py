@@ -19,7 +19,7 @@ install_import_hook("common.maths", "shape_checks.check")
 
 
 def pytest_pycollect_makemodule(module_path: Path) -> None:
-    """What `common.physics.engines.prepare_jax` does; too late once a test module has used JAX, be it on import."""
+    """Set what `common.physics.engines.require_synchronous_dispatch` sets, before a test module uses JAX on import."""
     if module_path.parent.name not in WITHOUT_JAX:
         import jax
 

@@ -1,4 +1,4 @@
-"""The tasks' MJCF files, found without importing an engine: a log carries its model."""
+"""The tasks' MJCF files, found without importing an engine; every log contains its task's model."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 from common.errors import PhysicsError
 
 _FILES = {"halfcheetah": "half_cheetah"}
-"""Tasks whose file in brax has another name."""
+"""Tasks whose file in brax has a different name."""
 
 
 def model_xml(task: str) -> str:
-    """The MJCF of a task as brax ships it; PhysicsError where brax is not installed."""
+    """The MJCF of a task as shipped with brax. Raises PhysicsError if brax is not installed."""
     spec = importlib.util.find_spec("brax")
     if spec is None or not spec.submodule_search_locations:
         raise PhysicsError("brax is not installed: its models are needed; run `make setup`")

@@ -13,10 +13,10 @@ from common.physics.libraries import Motion, Transform
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Bodies:
-    """What the next physics step starts from, and what the tasks read from the last one.
+    """The state from which the next physics step starts, and the body frames that the tasks read.
 
-    The fields `q`, `qd`, `x` and `xd` have brax's names, for brax's observation and reward code reads them.
-    B = bodies without the world. As after `mj_step`, `x` and `xd` belong to the start of the last substep.
+    The fields `q`, `qd`, `x` and `xd` have brax's names, because brax's observation and reward code reads them.
+    B: bodies without the world. As after `mj_step`, `x` and `xd` belong to the start of the last substep.
     """
 
     q: jax.Array
@@ -28,11 +28,11 @@ class Bodies:
     xd: Motion
     """[B, 3] angular and [B, 3] linear velocity of each body's frame in the world."""
     warmstart: jax.Array
-    """[nv] accelerations from which the constraint solver starts."""
+    """[nv] accelerations with which the constraint solver starts."""
 
 
 class Engine(Protocol):
-    """One simulation's physics, written without a batch axis: callers use `jax.vmap`."""
+    """The physics of one simulation, without a batch axis: callers use `jax.vmap`."""
 
     name: str
 
@@ -45,7 +45,7 @@ class Engine(Protocol):
         ...
 
     def seconds(self) -> float | None:
-        """Seconds spent in physics so far, or None where they cannot be told from the rest."""
+        """Seconds spent in physics so far, or None if they cannot be separated from the rest."""
         ...
 
 
@@ -58,12 +58,12 @@ def bodies_from(
     lever: jax.Array,
     warmstart: jax.Array,
 ) -> Bodies:
-    """MuJoCo's fields as `Bodies`.
+    """`Bodies` from MuJoCo's fields.
 
     Args:
         xpos, xquat: [B, 3], [B, 4] frames of the bodies.
         cvel: [B, 6] velocity, angular first, taken at the centre of mass of the kinematic tree.
-        lever: [B, 3] from that centre to the frame of the body, to which the velocity is moved.
+        lever: [B, 3] from that centre to the origin of the body's frame, at which brax expects the velocity.
     """
     at_tree = Motion(ang=cvel[:, :3], vel=cvel[:, 3:])
     xd = Transform.create(pos=lever).vmap().do(at_tree)

@@ -1,8 +1,8 @@
-"""The eight tasks as batches of environments that restart by themselves.
+"""The eight tasks as batches of environments that reset themselves.
 
-Observations, rewards and ends are those of `brax.envs`. What this module adds, in this order, to every step:
-actions are clipped to [-1, 1]; a simulation that diverged is ended; an episode is truncated at its length; an
-environment whose episode ended goes back to its first state.
+Observations, rewards and terminations are those of `brax.envs`. This module adds to every step, in this order: actions
+are clipped to [-1, 1]; a diverged simulation is terminated; an episode is truncated at its length; an environment whose
+episode ended returns to its initial state.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from common.errors import SettingsError
 from common.physics.bodies import Bodies, Engine
-from common.physics.engines import MJX, NATIVE, prepare_jax, resolve_physics
+from common.physics.engines import MJX, NATIVE, require_synchronous_dispatch, resolve_physics
 from common.physics.libraries import envs
 from common.physics.mjx import MjxEngine
 from common.physics.models import c_model, load_task
@@ -24,19 +24,19 @@ from common.physics.native import NativeEngine
 from common.tasks import EPISODE_LENGTH
 
 LARGEST = 1e10
-"""Joint positions, velocities and accelerations beyond this have diverged: MuJoCo's own limit (`mjMAXVAL`)."""
+"""Absolute value from which a joint position, velocity or acceleration counts as diverged: MuJoCo's `mjMAXVAL`."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class EnvState:
-    """All that the next step of N environments depends on. A pytree of arrays with the batch axis in front."""
+    """The complete state of N environments. A pytree of arrays with the batch axis in front."""
 
     bodies: Bodies
     obs: jax.Array
     """[N, O] float32."""
     first_bodies: Bodies
-    """Where each environment goes back to when an episode ends."""
+    """The state to which each environment returns when an episode ends."""
     first_obs: jax.Array
     """[N, O] float32."""
     steps: jax.Array
@@ -44,34 +44,34 @@ class EnvState:
     episode_return: jax.Array
     """[N] float32, undiscounted sum of the episode's rewards so far."""
     diverged: jax.Array
-    """[N] int32, how many times this environment's simulation diverged since `reset`."""
+    """[N] int32, number of times this environment's simulation diverged since `reset`."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Transition:
-    """What one step of N environments gave."""
+    """The result of one step of N environments."""
 
     obs: jax.Array
-    """[N, O] float32, after the step; where an episode ended, the first of the next one."""
+    """[N, O] float32, after the step; if an episode ended, the first of the next one."""
     reward: jax.Array
     """[N] float32."""
     terminated: jax.Array
-    """[N] bool, the task ended the episode, or its simulation diverged: what follows is worth 0."""
+    """[N] bool, the task ended the episode or its simulation diverged: the value of the next state is 0."""
     truncated: jax.Array
-    """[N] bool, the episode reached its length without being terminated: bootstrap from `next_obs`."""
+    """[N] bool, the episode reached its length without terminating: bootstrap from `next_obs`."""
     next_obs: jax.Array
-    """[N, O] float32, after the step and before going back to the first state."""
+    """[N, O] float32, after the step and before the return to the initial state."""
     episode_return: jax.Array
-    """[N] float32, of the episode that ended at this step; 0 where none did."""
+    """[N] float32, undiscounted return of the episode that ended at this step; 0 if none did."""
     episode_length: jax.Array
-    """[N] int32, likewise."""
+    """[N] int32, length of the episode that ended at this step; 0 if none did."""
 
 
 class BatchedEnvironment:
-    """N environments of one task. `reset` and `step` are pure, for use under `jax.jit` and in `jax.lax.scan`.
+    """N environments of one task. `reset` and `step` are pure functions for use under `jax.jit` and in `jax.lax.scan`.
 
-    They are compiled when called from outside a compiled function, too: one compilation each.
+    Called from outside a compiled function they are compiled as well, once each.
     """
 
     def __init__(self, task: Any, engine: Engine, num_envs: int, episode_length: int) -> None:
@@ -89,15 +89,15 @@ class BatchedEnvironment:
         self._reset, self._step = jax.jit(self._reset_all), jax.jit(self._step_all)
 
     def reset(self, key: jax.Array) -> EnvState:
-        """The first states of N episodes, each drawn with a key of its own out of `key`."""
+        """Initial states of N episodes, drawn independently."""
         return self._reset(key)
 
     def step(self, state: EnvState, action: jax.Array) -> tuple[EnvState, Transition]:
-        """One step of every environment under `action` [N, A]; what lies outside [-1, 1] is clipped."""
+        """One step of every environment under `action` [N, A], clipped to [-1, 1]."""
         return self._step(state, action)
 
     def physics_seconds(self) -> float | None:
-        """Seconds spent inside the physics engine since the start, or None where XLA compiled it with the rest."""
+        """Seconds spent inside the physics engine so far, or None if XLA compiled it into one program with the rest."""
         return self._engine.seconds()
 
     def _reset_all(self, key: jax.Array) -> EnvState:
@@ -145,9 +145,9 @@ class BatchedEnvironment:
         return _strongly_typed((state, transition))
 
     def _step_task(self, bodies: Bodies, action: jax.Array) -> tuple[Bodies, jax.Array, jax.Array, jax.Array]:
-        """brax's own step of one environment: bodies, obs [O], reward [], whether it ended []."""
+        """brax's own step of one environment: bodies, obs [O], reward [] and termination []."""
         zero = jnp.zeros(())
-        # Of the state before the step, the tasks read the bodies alone.
+        # The tasks read nothing but the bodies of the state before the step.
         before = envs.State(pipeline_state=bodies, obs=zero, reward=zero, done=zero, metrics={}, info={})
         after = self._task.step(before, action)
         return after.pipeline_state, after.obs, jnp.asarray(after.reward, jnp.float32), after.done > 0
@@ -161,24 +161,25 @@ def make_environment(
     episode_length: int = EPISODE_LENGTH,
     threads: int = 0,
 ) -> BatchedEnvironment:
-    """The batch of environments of a task.
+    """A batch of environments of a task.
 
     Args:
-        task: a name out of `common.tasks.TASKS`.
+        task: a name in `common.tasks.TASKS`.
         physics: "auto", "mjx" or "native"; see `common.physics.engines`.
         num_envs: N.
         episode_length: steps after which an episode is truncated.
-        threads: threads that `native` steps on, the caller's included; 0 is one for every core. No effect on results.
+        threads: threads of the native engine, including the caller's; 0 is one per core. They do not affect results.
 
     Raises:
-        SettingsError: a name that is not known, or a number that is not possible.
-        PhysicsError: the engine is not installed, or JAX was started so that it could hang (`prepare_jax`).
+        SettingsError: a name is unknown or a number out of range.
+        PhysicsError: the engine is not installed, or JAX was started with asynchronous dispatch
+            (`require_synchronous_dispatch`).
     """
     engine_name = resolve_physics(physics)
     _check_at_least({"num_envs": num_envs, "episode_length": episode_length}, 1)
     _check_at_least({"threads": threads}, 0)
     if engine_name == NATIVE:
-        prepare_jax()
+        require_synchronous_dispatch()
     environment = load_task(task)
     substeps = environment._n_frames
     engine: Engine
@@ -196,7 +197,8 @@ def _check_at_least(given: Mapping[str, int], least: int) -> None:
 
 
 def _is_sound(bodies: Bodies, obs: jax.Array, reward: jax.Array) -> jax.Array:
-    """Whether one simulation is still one: a bool []. (A comparison with NaN is false.)"""
+    """True for a simulation that has not diverged: a bool []."""
+    # A comparison with NaN is false, so that NaN counts as diverged.
     moving = jnp.concatenate([bodies.q, bodies.qd, bodies.warmstart])
     return jnp.all(jnp.abs(moving) < LARGEST) & jnp.all(jnp.isfinite(obs)) & jnp.isfinite(reward)
 
@@ -211,5 +213,5 @@ def _select(where: jax.Array, then: Any, otherwise: Any) -> Any:
 
 
 def _strongly_typed(tree: Any) -> Any:
-    """The same arrays without JAX's weak types, so that a step's result compiles nothing anew as its input."""
+    """The same arrays without JAX's weak types: a step's result as its input must not cause a second compilation."""
     return jax.tree.map(lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype), tree)

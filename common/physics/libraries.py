@@ -1,7 +1,7 @@
-"""brax and MuJoCo's JAX engine, imported without what they say about themselves.
+"""Imports brax and MuJoCo's JAX engine without their announcements.
 
-Everything of brax and `mujoco.mjx` comes into this package through here. A shim for a function that a newer JAX
-has removed would stand here as well; none is needed by the parts of brax that are used (JAX 0.10).
+The only module of this package that imports brax and `mujoco.mjx`. A shim for a function that a newer JAX has removed
+would belong here; the parts of brax that are used need none (JAX 0.10).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _LOG = logging.getLogger("mujoco")
 
 @contextlib.contextmanager
 def without_announcements() -> Any:
-    """Keep out the warnings that brax, and a library that it imports, are no longer developed; no other warning."""
+    """Suppress the warnings that brax and a library it imports are no longer developed, and no others."""
     with warnings.catch_warnings():
         for announcement in _ANNOUNCEMENTS:
             warnings.filterwarnings("ignore", message=announcement)
@@ -30,8 +30,8 @@ def without_announcements() -> Any:
 def log_instead_of_printing() -> None:
     """Send MuJoCo's warnings to the logger "mujoco" at level DEBUG, unless the program has its own handler.
 
-    Otherwise they go to stderr and to a file MUJOCO_LOG.TXT in the current folder. What matters of them is reported
-    by other means: `EnvState.diverged`.
+    By default they go to stderr and to a file MUJOCO_LOG.TXT in the current folder. Diverged simulations are reported
+    by `EnvState.diverged`.
     """
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(_LOG.debug)

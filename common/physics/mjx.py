@@ -1,4 +1,4 @@
-"""MuJoCo's JAX engine: compiled together with whatever calls it, best on an accelerator."""
+"""MuJoCo's JAX engine, which is compiled into one program with its caller; for accelerators."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from common.physics.libraries import mjx
 class MjxEngine:
     """Steps one simulation with `mujoco.mjx`, in float32.
 
-    Every step starts from a fresh `mjx.Data`. All that the eight models carry over is in `Bodies`, so that a
-    state is a few hundred numbers and not the thousands of intermediate results in `mjx.Data`.
+    Every step starts from a new `mjx.Data`. `Bodies` holds all that the eight models carry from step to step, so that a
+    state has a few hundred numbers instead of the thousands of intermediate results in `mjx.Data`.
     """
 
     name = MJX
 
     def __init__(self, system: Any, substeps: int) -> None:
-        """`system` is the `brax.System` (an `mjx.Model`) of the task; `substeps` are MuJoCo's steps in each of its."""
+        """`system` is the `brax.System` (an `mjx.Model`) of the task; `substeps`: MuJoCo steps per environment step."""
         self._system = system
         self._substeps = substeps
 
@@ -34,13 +34,13 @@ class MjxEngine:
         data = mjx.make_data(self._system).replace(
             qpos=bodies.q, qvel=bodies.qd, ctrl=ctrl, qacc_warmstart=bodies.warmstart
         )
-        # GPUs multiply float32 matrices with 10-bit mantissas unless told otherwise, too few for a solver.
+        # By default GPUs multiply float32 matrices with 10-bit mantissas, which is too coarse for the solver.
         with jax.default_matmul_precision("highest"):
             data, _ = jax.lax.scan(lambda d, _: (mjx.step(self._system, d), None), data, length=self._substeps)
         return self._bodies(data)
 
     def seconds(self) -> None:
-        """None: XLA compiles physics into one program with the rest."""
+        """None: physics is part of one compiled program."""
         return None
 
     def _bodies(self, data: Any) -> Bodies:

@@ -16,14 +16,14 @@ OPTIONS = (
     "timestep", "integrator", "solver", "cone", "iterations", "ls_iterations", "tolerance", "ls_tolerance",
     "impratio", "gravity", "wind", "magnetic", "density", "viscosity", "disableflags", "enableflags",
 )  # fmt: skip
-"""The options that MuJoCo's two engines have in common."""
+"""The options that both of MuJoCo's engines have."""
 
 
 def load_task(task: str) -> Any:
     """The brax environment of `task`, with the options that it sets for MuJoCo's physics.
 
     Raises:
-        SettingsError: `task` is none of `common.tasks.TASKS`.
+        SettingsError: `task` is not one of `common.tasks.TASKS`.
     """
     if task not in TASKS:
         raise SettingsError(unknown_name("task", task, TASKS))
@@ -35,12 +35,12 @@ def load_task(task: str) -> Any:
 def c_model(environment: Any) -> mujoco.MjModel:
     """The model of a brax `environment` for MuJoCo's C engine, with the options of its JAX model.
 
-    A task may change options after its model was read, in the JAX model alone: humanoid has other solver settings.
+    A task may change options in the JAX model alone, after reading its model: humanoid changes solver settings.
     """
     model = copy.copy(environment.sys.mj_model)
     for name in OPTIONS:
         wanted = np.asarray(getattr(environment.sys.opt, name))
-        # The JAX model holds float32: a number that differs by no more than that is the same number.
+        # The JAX model holds float32, so numbers are compared after rounding to it.
         if not np.array_equal(np.asarray(getattr(model.opt, name), wanted.dtype), wanted):
             setattr(model.opt, name, wanted if wanted.ndim else wanted.item())
     return model

@@ -27,24 +27,24 @@ _LOST = [
         mujoco.mjtWarning.mjWARN_BADCTRL,
     )
 ]
-"""Warnings after which a simulation is not the one that was asked for: MuJoCo reset it or dropped its commands."""
+"""Warnings after which a simulation has diverged: MuJoCo reset its state or dropped its commands."""
 
 
 class NativeEngine:
     """Steps `num_envs` simulations of one model with `mujoco.batch`, in float64 between float32 states.
 
-    `reset` and `step` are written for one simulation, as brax's tasks are, and must be mapped with `jax.vmap`
-    over exactly `num_envs` of them; the map makes one call on the host of it. A call loads each simulation's
-    whole state, so that results depend on the arguments alone: not on earlier calls, not on the number of threads.
+    `reset` and `step` are written for one simulation, as brax's tasks are, and must be mapped with `jax.vmap` over
+    exactly `num_envs` of them; the map turns them into one host callback for the batch. A call loads each simulation's
+    complete state, so that results depend on the arguments alone, not on earlier calls or the number of threads.
 
-    MuJoCo answers a state that is not finite, or beyond 1e10, by going back to the model's defaults. Such a
-    simulation is NaN here, as it would be with `mjx`, so that the caller sees it.
+    MuJoCo resets a simulation whose state is not finite or exceeds 1e10 to the model's defaults. Its state is reported
+    as NaN here, as with `mjx`, so that the caller notices.
     """
 
     name = NATIVE
 
     def __init__(self, model: mujoco.MjModel, substeps: int, num_envs: int, threads: int) -> None:
-        """`threads` counts the caller's, which works too; 0 is one for every core this process may use.
+        """`threads` includes the calling thread; 0 is one per core that this process may use.
 
         Raises:
             PhysicsError: the installed MuJoCo has no batch engine.
@@ -57,7 +57,7 @@ class NativeEngine:
         self._root = model.body_rootid[1:]
         self._sizes = model.nq, model.nv, model.nu, model.nbody - 1
         self._seconds = 0.0
-        # Two programs that share this engine may call it at the same time, and a batch serves one caller.
+        # Programs on different threads may share this engine, but a batch serves one caller at a time.
         self._lock = threading.Lock()
 
     def reset(self, q: jax.Array, qd: jax.Array) -> Bodies:
@@ -69,7 +69,7 @@ class NativeEngine:
         return self._call(advance, bodies.q, bodies.qd, ctrl, bodies.warmstart)
 
     def seconds(self) -> float:
-        """Seconds spent inside MuJoCo's batch calls since this engine was made."""
+        """Seconds spent inside MuJoCo's batch calls so far."""
         return self._seconds
 
     def _call(self, run: Callable[[], None], *inputs: jax.Array) -> Bodies:
@@ -105,12 +105,12 @@ class NativeEngine:
         return results
 
     def _timed(self, run: Callable[[], None]) -> np.ndarray:
-        """Run the batch; the simulations [N] (bool) that MuJoCo could not carry through."""
+        """Run the batch; returns the simulations [N] (bool) that diverged."""
         started = time.perf_counter()
         try:
             run()
         except self._failure:
-            pass  # `status` says which: they stayed where they were, and all others ran to the end
+            pass  # `status` says which simulations failed; all others ran to the end
         finally:
             self._seconds += time.perf_counter() - started
         return (self._batch.status != 0) | self._batch.warning[:, _LOST, 1].any(axis=1)
@@ -120,12 +120,12 @@ class NativeEngine:
         xpos, xquat, cvel, subtree_com = self._kinematics
         lever = xpos[:, 1:] - subtree_com[:, self._root]
         results = qpos, qvel, xpos[:, 1:], xquat[:, 1:], cvel[:, 1:], lever, warmstart
-        # A copy, for the next call overwrites the batch's own arrays.
+        # Copies, since the next call overwrites the batch's own arrays.
         return tuple(result.astype(np.float32) for result in results)
 
 
 def _open_batch(model: mujoco.MjModel, num_envs: int, threads: int) -> tuple[Any, type[RuntimeError]]:
-    """The batch, and the error that its calls raise when some of its simulations fail."""
+    """The batch, and the exception that its calls raise when simulations fail."""
     try:
         from mujoco.batch import Batch, SimulationError
     except ImportError as error:

@@ -27,14 +27,14 @@ def verify_run(path: Path, until: int | None) -> int:
 
     Returns 0 where all agree, else 1. Raises ReskpnError where the log cannot be verified.
     """
-    from common.runtime import hardware, prepare_jax, software_versions, source_commit
+    from common.runtime import enable_compilation_cache, hardware, software_versions, source_commit
     from reskpn.commands.verdicts import describe_verdict
     from services.learner.training.trainer import Trainer
     from services.replay.verify import verify
 
     run = open_run(path)
     total = updates_to_read(run, until)
-    prepare_jax()
+    enable_compilation_cache()
     found = differences(run.origins(), origin(source_commit(), software_versions(), hardware()))
     trainer = Trainer(run.settings)
     print(f"{run.run}: verifying {total} updates of {run.settings.learner} on {run.settings.task}", flush=True)
@@ -71,7 +71,7 @@ def train_into(path: Path, choose: Callable[[RunSettings], RunSettings]) -> int:
     Args:
         choose: makes its settings out of those of the run.
     """
-    from common.runtime import prepare_jax
+    from common.runtime import enable_compilation_cache
     from services.learner.training.trainer import Trainer
     from services.replay.offline import require_same_rollouts, train_offline
 
@@ -81,7 +81,7 @@ def train_into(path: Path, choose: Callable[[RunSettings], RunSettings]) -> int:
     require_same_rollouts(run.settings, settings)
     settings = settings.model_copy(update={"run_dir": settings.run_dir or default_run_dir(settings)})
     claim_run_dir(settings)
-    prepare_jax()
+    enable_compilation_cache()
     trainer = Trainer(settings)
     print(f"{run.run}: training {settings.learner} on its {total} updates of experience", flush=True)
     trainer.compile()

@@ -15,9 +15,9 @@ STEPPED = 4
 
 def check_jax() -> Finding:
     """JAX starts, and on which devices."""
-    from common.physics.engines import prepare_jax
+    from common.physics.engines import require_synchronous_dispatch
 
-    prepare_jax()
+    require_synchronous_dispatch()
     import jax
 
     devices = jax.devices()

@@ -1,35 +1,36 @@
-"""Twice a second: what the actor is doing, since when, and how fast."""
+"""Heartbeats: twice a second, an actor's state, the time it has spent in it, and its speed."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from types import TracebackType
 from typing import Literal, Self
 
 from common.errors import SessionError
 from common.wire.messages import Heartbeat
-from services.worker.link import Link, Membership
+from services.actor.link import ActorLink
+from services.worker.joining import Assignment
+from services.worker.state_file import WriteState
 
 PERIOD_S = 0.5
 
 NO_POLICY = -1
-"""The version of an actor that has not got a snapshot yet."""
+"""The version in the state file of an actor that holds no policy yet."""
 
 State = Literal["compiling", "waiting", "collecting", "pushing", "evaluating"]
 
 
-class Heart:
-    """Sends heartbeats from a thread of its own while it is entered, at once and whenever the work changes kind."""
+class HeartbeatSender:
+    """Sends heartbeats from its own thread while the context is open, the first one immediately."""
 
     def __init__(
-        self, link: Link, member: Membership, keep: Callable[[str, int], None] = lambda state, version: None
+        self, link: ActorLink, assignment: Assignment, write_state: WriteState = lambda state, version: None
     ) -> None:
-        """`keep(state, version)` is told with each heartbeat, for this machine's own checks."""
+        """`write_state(state, version)` is called with each heartbeat, for health checks on this machine."""
         self._link = link
-        self._member = member
-        self._keep = keep
+        self._assignment = assignment
+        self._write_state = write_state
         self._lock = threading.Lock()
         self._state: State = "compiling"
         self._since_s = time.monotonic()
@@ -40,16 +41,16 @@ class Heart:
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
         self.version = NO_POLICY
 
-    def state(self, state: State) -> None:
-        """What the actor does from now on. The end of compiling is told at once: work depends on it."""
+    def set_state(self, state: State) -> None:
+        """Set the actor's state. The end of compiling is sent immediately: the learner waits for it to assign work."""
         with self._lock:
             ready = self._state == "compiling"
             self._state, self._since_s = state, time.monotonic()
         if ready:
-            self._beat()
+            self._send()
 
     def stepped(self, env_steps: int) -> None:
-        """Environment steps that the learner took. The speed counts from when the first of them were there."""
+        """Count environment steps that the learner accepted. The speed is measured from the first of them on."""
         with self._lock:
             if self._first_step_s is None:
                 self._first_step_s = time.monotonic()
@@ -69,20 +70,20 @@ class Heart:
     def _run(self) -> None:
         while True:
             try:
-                self._beat()
+                self._send()
             except SessionError:
-                return  # the session is closed: this life is over
+                return  # the session is closed, and with it this incarnation ends
             if self._ended.wait(PERIOD_S):
                 return
 
-    def _beat(self) -> None:
+    def _send(self) -> None:
         now = time.monotonic()
         with self._lock:
             elapsed = 0.0 if self._first_step_s is None else now - self._first_step_s
-            beat = Heartbeat(
-                run=self._member.run,
-                slot=self._member.slot,
-                incarnation=self._member.incarnation,
+            heartbeat = Heartbeat(
+                run=self._assignment.run,
+                slot=self._assignment.slot,
+                incarnation=self._assignment.incarnation,
                 state=self._state,
                 version=max(0, self.version),
                 env_steps=self._env_steps,
@@ -90,5 +91,5 @@ class Heart:
                 state_s=now - self._since_s,
                 t_ns=time.time_ns(),
             )
-        self._keep(beat.state, self.version)
-        self._link.beat(beat)
+        self._write_state(heartbeat.state, self.version)
+        self._link.send_heartbeat(heartbeat)

@@ -1,4 +1,4 @@
-"""The actor as a process: joins a learner, collects what is asked, leaves when the run is over."""
+"""The actor as a process: it joins a learner, collects the rollouts it orders and leaves at the end of the run."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import jax
-
 from common.config.settings import TransportSettings
 from common.errors import CodecError, PhysicsError, SessionError
 from common.maths.policy import Policy
 from common.memory import keep_large_blocks
-from common.physics.engines import resolve_physics
-from common.runtime import hardware, prepare_jax, software_versions
-from common.wire.messages import Environment, Evaluation, Orders, Rollout, digest_arrays
+from common.physics.engines import require_synchronous_dispatch, resolve_physics
+from common.runtime import enable_compilation_cache, hardware, software_versions
+from common.wire.messages import Environment, Evaluation, Orders, digest_arrays
 from common.wire.session import Session
-from services.actor.collector import Collector, Place
-from services.actor.heartbeat import NO_POLICY, Heart
+from services.actor.collector import Collector, SlotGeneration
+from services.actor.heartbeat import NO_POLICY, HeartbeatSender
+from services.actor.link import ActorLink
+from services.actor.rollouts import rollout_message
 from services.worker.deterministic import evaluate
-from services.worker.link import Link, Lost, Membership, connect, join
+from services.worker.joining import Assignment, connect, join
+from services.worker.link import AssignmentLost
 from services.worker.policy_reader import PolicyReader
-from services.worker.state_file import state_keeper
+from services.worker.state_file import WriteState, state_writer
 
 ORDERS_S = 0.5
 
@@ -42,31 +43,30 @@ def run_actor(
     """Work for the learner at `transport.endpoint` until the run is over or `stop` is set; returns the exit code 0.
 
     Args:
-        physics: the engine, or "auto"; the run's own setting wins unless that is "auto".
-        run: the run to work for, or "" for whichever the learner has.
-        threads: threads of the native engine, 0 for one a core.
+        physics: the engine, or "auto"; the run's own setting takes precedence unless that is "auto".
+        run: the run to work for, or "" for any.
+        threads: threads of the native engine, 0 for one per core.
         connect_timeout_s: how long to wait for a learner; None for ever.
-        rejoin_timeout_s: how long to wait for one that was lost, or for its successor; None for ever.
-        say: told what a person may want to know.
-        state_file: where `python -m reskpn.health actor` finds what this actor does; None for nowhere.
+        rejoin_timeout_s: how long to wait for a lost learner or its successor; None for ever.
+        say: called with messages for the user.
+        state_file: the file that `python -m reskpn.health actor` reads; None for none.
 
     Raises:
-        RefusedError: the learner will not have this actor.
-        SessionError: no learner within the time.
+        RefusedError: the learner does not accept this actor.
+        SessionError: there was no learner within the time.
         SettingsError: the state file cannot be written.
     """
-    keep = state_keeper(state_file)
-    keep("starting", NO_POLICY)
-    prepare_jax()
+    write_state = state_writer(state_file)
+    write_state("starting", NO_POLICY)
+    enable_compilation_cache()
     keep_large_blocks()
-    # A callback into the physics engine must not wait for a computation queued behind it.
-    jax.config.update("jax_cpu_enable_async_dispatch", False)
+    require_synchronous_dispatch()
     engine = resolve_physics(physics)
     versions, machine = software_versions(), hardware()
     while not stop.is_set():
-        # A session of its own for every life: nothing of an earlier one is declared on it.
+        # A new session for each incarnation, so that nothing declared for an earlier one remains.
         with connect(transport, connect_timeout_s, stop) as session:
-            member = join(
+            assignment = join(
                 session,
                 run=run,
                 physics=engine,
@@ -74,15 +74,18 @@ def run_actor(
                 hardware=machine,
                 stop=stop,
                 waiting=say,
-                asked=lambda state: keep(state, NO_POLICY),
+                asked=lambda state: write_state(state, NO_POLICY),
             )
-            if member is None:
+            if assignment is None:
                 return 0
-            physics = engine if member.settings.physics == "auto" else member.settings.physics
-            say(f"joined {member.run} as slot {member.slot} (generation {member.generation}) with {physics} physics")
+            physics = engine if assignment.settings.physics == "auto" else assignment.settings.physics
+            say(
+                f"joined {assignment.run} as slot {assignment.slot} (generation {assignment.generation}) "
+                f"with {physics} physics"
+            )
             try:
-                finished = Life(session, member, transport, engine, threads, stop, keep).live()
-            except (Lost, SessionError) as error:
+                finished = ActorIncarnation(session, assignment, transport, engine, threads, stop, write_state).work()
+            except (AssignmentLost, SessionError) as error:
                 say(f"{error}; joining again")
                 connect_timeout_s = rejoin_timeout_s
                 continue
@@ -92,28 +95,28 @@ def run_actor(
     return 0
 
 
-class Life:
+class ActorIncarnation:
     """One incarnation of an actor, from joining to leaving."""
 
     def __init__(
         self,
         session: Session,
-        member: Membership,
+        assignment: Assignment,
         transport: TransportSettings,
         engine: str,
         threads: int,
         stop: threading.Event,
-        keep: Callable[[str, int], None],
+        write_state: WriteState,
     ) -> None:
-        settings = member.settings
+        settings = assignment.settings
         if settings.physics == "auto":
             settings = settings.model_copy(update={"physics": engine})
-        self._member = member
+        self._assignment = assignment
         self._settings = settings
         self._threads = threads
         self._stop = stop
-        self._link = Link(session, member, push_timeout_s=transport.push_timeout_s)
-        self._heart = Heart(self._link, member, keep)
+        self._link = ActorLink(session, assignment, push_timeout_s=transport.push_timeout_s)
+        self._heartbeats = HeartbeatSender(self._link, assignment, write_state)
         self._policy: Policy | None = None
         self._version = -1
         self._made = 0
@@ -121,23 +124,24 @@ class Life:
         self._handed_in = -1
         self._push_s = 0.0
 
-    def live(self) -> bool:
-        """Work until the run is over (True) or the actor is asked to stop (False).
+    def work(self) -> bool:
+        """Follow the learner's orders until the run is over (True) or the actor is asked to stop (False).
 
         Raises:
-            Lost: the learner is gone or has given the slot away.
+            AssignmentLost: the learner is gone or has given the slot to another actor.
         """
-        with self._heart:
+        with self._heartbeats:
             reader = PolicyReader(self._settings)
-            place = Place(self._member.slot, self._member.generation)
-            collector = Collector(self._settings, place, reader, self._threads)
+            holder = SlotGeneration(self._assignment.slot, self._assignment.generation)
+            collector = Collector(self._settings, holder, reader, self._threads)
             collector.compile()
-            if self._member.restore:
+            if self._assignment.restore:
                 self._restore(collector)
-            self._heart.state("waiting")
+            self._heartbeats.set_state("waiting")
             orders: Orders | None = None
             more = False
             while not self._stop.is_set():
+                # With work left, only look whether newer orders have replaced it.
                 newer = self._link.orders(newer_than=orders, timeout_s=0.0 if more else ORDERS_S)
                 orders = newer or orders
                 if orders is None or not (newer or more):
@@ -148,13 +152,14 @@ class Life:
         return False
 
     def _follow(self, orders: Orders, reader: PolicyReader, collector: Collector) -> bool:
-        """Do the next thing that is asked of this slot; whether there may be more, unless newer orders have come.
+        """Do the next piece of work for this slot; True if these orders may contain more.
 
-        Lost where the slot is nobody's any more.
+        Raises:
+            AssignmentLost: the orders no longer contain the slot.
         """
-        slot = self._member.slot
+        slot = self._assignment.slot
         if slot not in orders.collect:
-            raise Lost("the learner has given this actor up")
+            raise AssignmentLost("the learner has given this actor up")
         wanted = orders.collect[slot] - (self._made if self._version == orders.version else 0)
         evaluate = slot in orders.evaluate and self._evaluated != orders.version
         if wanted <= 0 and not evaluate:
@@ -162,35 +167,35 @@ class Life:
         if self._version != orders.version:
             snapshot = self._link.snapshot()
             self._policy, self._version, self._made = reader.read(snapshot.arrays), snapshot.version, 0
-            self._heart.version = snapshot.version
+            self._heartbeats.version = snapshot.version
         if self._policy is None or self._version != orders.version:
-            return False  # the learner has moved on: newer orders are on their way
+            return False  # the learner has published a newer version, whose orders are on their way
         if wanted > 0:
             return (self._hand_in(collector) if orders.hand_in else True) and self._collect(collector, self._policy)
         self._evaluate(reader, self._policy, orders.evaluate[slot])
         return False
 
     def _restore(self, collector: Collector) -> None:
-        """Go on from the environments that the learner keeps for this slot."""
+        """Continue from the environments that the learner keeps for this slot."""
         kept = self._link.environment()
         try:
             collector.restore(kept.arrays, kept.seq)
         except CodecError as error:
             raise PhysicsError(
-                f"the environments that slot {self._member.slot} goes on from do not fit the {collector.physics} "
+                f"the environments that slot {self._assignment.slot} goes on from do not fit the {collector.physics} "
                 f"engine here ({error}); give the engine that the run began with, by --physics"
             ) from None
 
     def _hand_in(self, collector: Collector) -> bool:
-        """Bring the learner the environments as they are; whether it has those of this version."""
+        """Send the learner the state of the environments; True if it has the state at this version."""
         if self._handed_in == self._version:
             return True
-        member, arrays = self._member, collector.environments()
+        assignment, arrays = self._assignment, collector.environments()
         environment = Environment(
-            run=member.run,
-            slot=member.slot,
-            incarnation=member.incarnation,
-            generation=member.generation,
+            run=assignment.run,
+            slot=assignment.slot,
+            incarnation=assignment.incarnation,
+            generation=assignment.generation,
             seq=collector.seq,
             version=self._version,
             digest=digest_arrays(arrays),
@@ -201,36 +206,28 @@ class Life:
         return self._handed_in == self._version
 
     def _collect(self, collector: Collector, policy: Policy) -> bool:
-        """Make one rollout and bring it to the learner; whether it was taken."""
-        self._heart.state("collecting")
-        experience = collector.collect(policy)
-        rollout = Rollout(
-            run=self._member.run,
-            slot=self._member.slot,
-            incarnation=self._member.incarnation,
-            seq=collector.seq,
-            policy_version=self._version,
-            t_ns=time.time_ns(),
-            timing={**experience.timing, "push": self._push_s},
-            generation=self._member.generation,
-            **experience.arrays,
-        )
-        self._heart.state("pushing")
+        """Make one rollout and send it to the learner; True if it was accepted."""
+        self._heartbeats.set_state("collecting")
+        collected, timing = collector.collect(policy)
+        timing = {**timing, "push": self._push_s}
+        rollout = rollout_message(collected, self._assignment, seq=collector.seq, version=self._version, timing=timing)
+        self._heartbeats.set_state("pushing")
         began_s = time.perf_counter()
         taken = self._link.push(rollout, self._stop)
         self._push_s = time.perf_counter() - began_s
         if taken:
             collector.keep()
             self._made += 1
-            self._heart.stepped(self._settings.envs_per_actor * self._settings.num_steps)
-        self._heart.state("waiting")
+            self._heartbeats.stepped(self._settings.envs_per_actor * self._settings.num_steps)
+        self._heartbeats.set_state("waiting")
         return taken
 
     def _evaluate(self, reader: PolicyReader, policy: Policy, episodes: int) -> None:
-        self._heart.state("evaluating")
+        """Evaluate the policy without exploration and send the result."""
+        self._heartbeats.set_state("evaluating")
         returns, lengths = evaluate(self._settings, reader, policy, episodes, self._threads)
-        member = self._member
-        evaluation = Evaluation(member.run, member.slot, member.incarnation, self._version, returns, lengths)
+        assignment, version = self._assignment, self._version
+        evaluation = Evaluation(assignment.run, assignment.slot, assignment.incarnation, version, returns, lengths)
         if self._link.push_evaluation(evaluation, self._stop):
             self._evaluated = self._version
-        self._heart.state("waiting")
+        self._heartbeats.set_state("waiting")

@@ -1,39 +1,33 @@
-"""An evaluator's side of its conversation with the learner."""
+"""The connection of an evaluator to its learner: assessments out."""
 
 from __future__ import annotations
 
 import threading
+from typing import final
 
 from common.wire.assessment import Assessment
 from common.wire.session import Session
-from services.worker.link import Following, Membership
+from services.worker.joining import Assignment, Role
+from services.worker.link import WorkerLink
 
 
-class EvaluatorLink(Following):
-    """Follows a run without a slot: orders and policies in, assessments out."""
+@final
+class EvaluatorLink(WorkerLink):
+    """The messages of one incarnation of an evaluator, which holds no slot."""
 
-    def __init__(self, session: Session, member: Membership, *, push_timeout_s: float) -> None:
-        super().__init__(session, member.run, push_timeout_s=push_timeout_s)
-        self._key = self._keys.assessment(member.incarnation)
-        session.declare_alive(self._keys.alive("evaluator", member.incarnation))
-
-    @property
-    def newest(self) -> int | None:
-        """The version that was published last, as far as was heard."""
-        with self._changed:
-            return None if self._orders is None else self._orders.version
+    def __init__(self, session: Session, assignment: Assignment, *, push_timeout_s: float) -> None:
+        super().__init__(session, assignment, push_timeout_s=push_timeout_s)
+        self._key = self._keys.assessment(assignment.incarnation)
 
     @property
-    def over(self) -> bool:
-        """Whether the learner has said that the run is over."""
-        with self._changed:
-            return self._orders is not None and self._orders.finished
+    def role(self) -> Role:
+        return "evaluator"
 
     def push(self, assessment: Assessment, stop: threading.Event) -> bool:
-        """Send until there is an answer; whether the learner logged it.
+        """Send an assessment until the learner answers; True if it was logged, False on `stop`.
 
         Raises:
-            Lost: the learner is gone, or does not know this evaluator any more.
-            RefusedError: what was sent is malformed; sending it again would not help.
+            AssignmentLost: the learner is gone or no longer knows this evaluator.
+            RefusedError: the assessment is malformed, so that sending it again would not help.
         """
         return self._push(self._key, assessment.encode(), stop)

@@ -1,7 +1,7 @@
-"""The evaluator as a process: plays the newest policies of a run without exploration, and tells the learner.
+"""The evaluator as a process: it plays a run's newest policies without exploration and sends the results.
 
-It takes no slot and feeds no training. It may come, be killed and come back at any time; a learner that it cannot
-keep up with does not wait for it.
+It holds no slot and contributes nothing to training. It may start, be killed and restart at any time; a learner never
+waits for an evaluator that falls behind.
 """
 
 from __future__ import annotations
@@ -12,39 +12,40 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import jax
 import numpy as np
 
 from common.config.settings import TransportSettings
 from common.errors import SessionError, SettingsError
-from common.physics.engines import resolve_physics
-from common.runtime import hardware, prepare_jax, software_versions
+from common.physics.engines import require_synchronous_dispatch, resolve_physics
+from common.runtime import enable_compilation_cache, hardware, software_versions
 from common.wire.assessment import MAX_EPISODES, MAX_POSITIONS, Assessment
 from common.wire.messages import Orders
 from common.wire.session import Session
 from services.evaluator.link import EvaluatorLink
-from services.evaluator.pulse import Pulse
+from services.evaluator.state_refresher import StateRefresher
 from services.worker.deterministic import DeterministicEpisodes
-from services.worker.link import Lost, Membership, connect, join
+from services.worker.joining import Assignment, connect, join
+from services.worker.link import AssignmentLost
 from services.worker.policy_reader import PolicyReader
-from services.worker.state_file import state_keeper
+from services.worker.state_file import state_writer
 
 ORDERS_S = 0.5
-UNHEARD_S = 60.0
-"""A learner says its orders twice a second, but for the length of an update; one that says none is gone."""
+SILENCE_S = 60.0
+"""A learner without a word for this long is gone: it repeats its orders twice a second, except during an update."""
 
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Work:
-    """What is evaluated: each policy whose version is a multiple of `every`, or the newest where that is behind.
+class EvaluationOptions:
+    """Which policies are evaluated, and how.
 
     Attributes:
-        episodes: of each evaluation.
+        every: evaluate each version that is a multiple of this, or the newest one if the evaluator has fallen behind.
+        episodes: number of episodes per evaluation.
         positions: steps of the first episode whose joint positions are logged; 0 for none.
-        physics: the engine, or "auto"; the run's own setting wins unless that is "auto".
-        threads: of the native engine, 0 for one a core.
+        physics: the engine, or "auto"; the run's own setting takes precedence unless that is "auto".
+        threads: threads of the native engine; 0 for one per core.
     """
 
     every: int = 10
@@ -54,7 +55,7 @@ class Work:
     threads: int = 0
 
     def __post_init__(self) -> None:
-        """Raises SettingsError for what is not possible."""
+        """Raises SettingsError for a number outside its range."""
         for name, value, low, high in (
             ("--every", self.every, 1, None),
             ("--episodes", self.episodes, 1, MAX_EPISODES),
@@ -68,7 +69,7 @@ class Work:
 
 def run_evaluator(
     transport: TransportSettings,
-    work: Work,
+    options: EvaluationOptions,
     *,
     run: str,
     connect_timeout_s: float | None,
@@ -80,32 +81,32 @@ def run_evaluator(
     """Evaluate for the learner at `transport.endpoint` until the run is over or `stop` is set; returns exit code 0.
 
     Args:
-        run: the run to follow, or "" for whichever the learner has.
+        run: the run to follow, or "" for any.
         connect_timeout_s: how long to wait for a learner; None for ever.
-        rejoin_timeout_s: how long to wait for one that was lost, or for its successor; None for ever.
-        say: told what a person may want to know.
-        state_file: where `python -m reskpn.health evaluator` finds what this evaluator does; None for nowhere.
+        rejoin_timeout_s: how long to wait for a lost learner or its successor; None for ever.
+        say: called with messages for the user.
+        state_file: the file that `python -m reskpn.health evaluator` reads; None for none.
 
     Raises:
-        RefusedError: the learner will not have this evaluator.
-        SessionError: no learner within the time.
+        RefusedError: the learner does not accept this evaluator.
+        SessionError: there was no learner within the time.
         SettingsError: the state file cannot be written.
     """
-    with Pulse(state_keeper(state_file)) as pulse:
-        pulse.tell("starting")
-        prepare_jax()
-        # A callback into the physics engine must not wait for a computation queued behind it.
-        jax.config.update("jax_cpu_enable_async_dispatch", False)
-        engine = resolve_physics(work.physics)
+    with StateRefresher(state_writer(state_file)) as state:
+        state.set("starting")
+        enable_compilation_cache()
+        require_synchronous_dispatch()
+        engine = resolve_physics(options.physics)
         while not stop.is_set():
             with connect(transport, connect_timeout_s, stop) as session:
-                member = _join(session, run, engine, stop, say, pulse)
-                if member is None:
+                assignment = _join(session, run, engine, stop, say, state)
+                if assignment is None:
                     return 0
-                say(f"following {member.run}: {work.episodes} episodes of every {_nth(work.every)} policy")
+                say(f"following {assignment.run}: {options.episodes} episodes of every {_nth(options.every)} policy")
+                incarnation = EvaluatorIncarnation(session, assignment, transport, options, engine, stop, say, state)
                 try:
-                    finished = Life(session, member, transport, work, engine, stop, say, pulse).live()
-                except (Lost, SessionError) as error:
+                    finished = incarnation.work()
+                except (AssignmentLost, SessionError) as error:
                     say(f"{error}; joining again")
                     connect_timeout_s = rejoin_timeout_s
                     continue
@@ -115,7 +116,9 @@ def run_evaluator(
     return 0
 
 
-def _join(session: Session, run: str, engine: str, stop: threading.Event, say: Say, pulse: Pulse) -> Membership | None:
+def _join(
+    session: Session, run: str, engine: str, stop: threading.Event, say: Say, state: StateRefresher
+) -> Assignment | None:
     return join(
         session,
         run=run,
@@ -124,52 +127,52 @@ def _join(session: Session, run: str, engine: str, stop: threading.Event, say: S
         hardware=hardware(),
         stop=stop,
         waiting=say,
-        asked=pulse.tell,
+        asked=state.set,
         role="evaluator",
     )
 
 
-class Life:
+class EvaluatorIncarnation:
     """One incarnation of an evaluator, from joining to leaving."""
 
     def __init__(
         self,
         session: Session,
-        member: Membership,
+        assignment: Assignment,
         transport: TransportSettings,
-        work: Work,
+        options: EvaluationOptions,
         engine: str,
         stop: threading.Event,
         say: Say,
-        pulse: Pulse,
+        state: StateRefresher,
     ) -> None:
-        settings = member.settings
+        settings = assignment.settings
         if settings.physics == "auto":
             settings = settings.model_copy(update={"physics": engine})
-        self._member = member
-        self._work = work
+        self._assignment = assignment
+        self._options = options
         self._stop = stop
         self._say = say
-        self._pulse = pulse
-        self._link = EvaluatorLink(session, member, push_timeout_s=transport.push_timeout_s)
+        self._state = state
+        self._link = EvaluatorLink(session, assignment, push_timeout_s=transport.push_timeout_s)
         self._reader = PolicyReader(settings)
-        self._episodes = DeterministicEpisodes(settings, self._reader, work.episodes, work.threads)
+        self._episodes = DeterministicEpisodes(settings, self._reader, options.episodes, options.threads)
         self._due = 0
 
-    def live(self) -> bool:
-        """Work until the run is over (True) or the evaluator is asked to stop (False).
+    def work(self) -> bool:
+        """Evaluate until the run is over (True) or the evaluator is asked to stop (False).
 
         Raises:
-            Lost: the learner is gone.
+            AssignmentLost: the learner is gone.
         """
         orders: Orders | None = None
-        heard_s = time.monotonic()
-        self._pulse.tell("waiting")
+        began_s = time.monotonic()
+        self._state.set("waiting")
         while not self._stop.is_set():
             newer = self._link.orders(newer_than=orders, timeout_s=ORDERS_S)
             if newer is None:
-                if orders is None and time.monotonic() - heard_s > UNHEARD_S:
-                    raise Lost("the learner says nothing")
+                if orders is None and time.monotonic() - began_s > SILENCE_S:
+                    raise AssignmentLost("the learner says nothing")
                 continue
             orders = newer
             if orders.finished:
@@ -177,35 +180,36 @@ class Life:
             try:
                 if orders.version >= self._due:
                     self._evaluate()
-            except Lost:
+            except AssignmentLost:
+                # A learner whose run ended while the episodes were played has left as announced.
                 if self._link.over:
                     return True
                 raise
         return False
 
     def _evaluate(self) -> None:
-        """Play the newest policy and bring what came of it. Lost where the learner is gone."""
+        """Play the newest policy and send the results. Raises AssignmentLost if the learner is gone."""
         snapshot = self._link.snapshot()
-        self._pulse.tell("evaluating", snapshot.version)
+        self._state.set("evaluating", snapshot.version)
         began_s = time.monotonic()
         played = self._episodes.play(self._reader.read(snapshot.arrays))
         assessment = Assessment(
-            run=self._member.run,
-            evaluator=self._member.incarnation,
+            run=self._assignment.run,
+            evaluator=self._assignment.incarnation,
             version=snapshot.version,
             episode_return=played.returns,
             episode_length=played.lengths,
-            qpos=played.qpos[: min(self._work.positions, MAX_POSITIONS // played.qpos.shape[1])],
+            qpos=played.qpos[: min(self._options.positions, MAX_POSITIONS // played.qpos.shape[1])],
             step_s=self._episodes.step_s,
         )
-        self._due = (snapshot.version // self._work.every + 1) * self._work.every
+        self._due = (snapshot.version // self._options.every + 1) * self._options.every
         if self._link.push(assessment, self._stop):
             self._say(describe(assessment, time.monotonic() - began_s, self._link.newest))
-        self._pulse.tell("waiting")
+        self._state.set("waiting")
 
 
 def describe(assessment: Assessment, took_s: float, newest: int | None) -> str:
-    """One line: what came of the episodes, and how many versions were published meanwhile."""
+    """One line on an assessment: returns, duration, and the number of versions published meanwhile."""
     returns = assessment.episode_return.astype(np.float64)
     behind = max(0, (newest or 0) - assessment.version)
     return (

@@ -13,7 +13,7 @@ from common.config.settings import RunSettings
 from common.errors import INTERRUPTED, ReskpnError
 from common.memory import keep_large_blocks
 from common.runs.directory import SETTINGS, SUMMARY, prepare_run_dir, write_json
-from common.runtime import prepare_jax
+from common.runtime import enable_compilation_cache
 from common.wire.listener import make_listener_monitor, require_authentication
 from common.wire.session import Session
 from services.learner.endpoints.hub import Hub
@@ -38,7 +38,7 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
     """
     began_s = time.monotonic()
     require_authentication(settings.transport)
-    prepare_jax()
+    enable_compilation_cache()
     keep_large_blocks()
     with ExitStack() as stack:
         listener = stack.enter_context(make_listener_monitor(settings.transport))

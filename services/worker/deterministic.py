@@ -1,4 +1,4 @@
-"""Episodes of a policy without exploration, each from a start of its own."""
+"""Deterministic episodes of a policy: the mean action, each episode from its own initial state."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from common.physics.environments import EnvState, make_environment
 from services.worker.policy_reader import PolicyReader
 
 STARTS = 0xE7A1
-"""Folded into the run's seed for the starts of the episodes."""
+"""Folded into the run's seed to draw the initial states."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Episodes:
 
 
 class DeterministicEpisodes:
-    """So many episodes of any policy of a run, in one program that is compiled once.
+    """Plays a fixed number of episodes of any policy of a run, with one program that is compiled once.
 
-    The starts depend on the run's seed alone, so two policies of a run are judged on the same ones.
+    The initial states depend on the run's seed alone, so that all policies of a run are compared on the same ones.
     """
 
     def __init__(self, settings: RunSettings, reader: PolicyReader, episodes: int, threads: int = 0) -> None:
@@ -50,11 +50,11 @@ class DeterministicEpisodes:
 
     @property
     def step_s(self) -> float:
-        """Simulated seconds of one step."""
+        """Simulated seconds per step."""
         return self._environment.step_s
 
     def play(self, policy: Policy) -> Episodes:
-        """The first episode of each environment."""
+        """Play the first episode of each environment."""
         played = self._run(policy, self._environment.reset(self._key))
         returns, lengths, qpos = (np.asarray(array) for array in played)
         return Episodes(returns, lengths, qpos[: lengths[0]])
@@ -77,6 +77,6 @@ class DeterministicEpisodes:
 def evaluate(
     settings: RunSettings, reader: PolicyReader, policy: Policy, episodes: int, threads: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns and lengths of that many episodes, once; as `DeterministicEpisodes`."""
+    """Returns [e] and lengths [e] of `episodes` deterministic episodes. Compiles anew on every call."""
     played = DeterministicEpisodes(settings, reader, episodes, threads).play(policy)
     return played.returns, played.lengths

@@ -1,4 +1,4 @@
-"""Snapshots as policies that act: shared by actors and evaluators."""
+"""Policies read from snapshots, and the actions they take; shared by actors and evaluators."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from common.tasks import TASKS
 
 
 class PolicyReader:
-    """Makes snapshots into policies, and acts by them."""
+    """Reads the snapshots of a run as policies and computes their actions."""
 
     def __init__(self, settings: RunSettings) -> None:
         task = TASKS[settings.task]
@@ -50,15 +50,15 @@ class PolicyReader:
 
     @property
     def template(self) -> Policy:
-        """A policy of the run's shapes."""
+        """The run's initial policy, which has the shapes and dtypes of all its policies."""
         return self._template
 
     def read(self, arrays: dict[str, np.ndarray]) -> Policy:
-        """The policy of a snapshot; CodecError where it does not fit the run."""
+        """The policy of a snapshot. Raises CodecError if its arrays do not fit the run's settings."""
         return jax.device_put(from_arrays(self._template, arrays))
 
     def sample(self, policy: Policy, observation: Array, key: Array) -> tuple[Array, Array, Array]:
-        """Actions [N, A], their log-probabilities [N], and their mirror images in the mean, 2 m - a [N, A]."""
+        """Draw actions a [N, A]; returns a, their log-probabilities [N] and their mirror images 2 mean - a [N, A]."""
         mean = self._act(policy, observation)
         action = gaussians.sample(key, mean.total, mean.log_std)
         return action, gaussians.log_prob(mean.total, mean.log_std, action), 2.0 * mean.total - action

@@ -1,4 +1,4 @@
-"""What an actor does, in a file: for checks on its own machine, which need neither the network nor the learner."""
+"""The state file of an actor or evaluator: health checks on the same machine read it without the network."""
 
 from __future__ import annotations
 
@@ -12,26 +12,30 @@ from pathlib import Path
 from common.errors import SettingsError
 
 OLD_S = 15.0
-"""A living actor writes far more often; its slowest period is a question to a learner that does not answer (5 s)."""
+"""Age in seconds from which a state counts as stale.
 
-Keep = Callable[[str, int], None]
-"""(state, version of the policy held, below 0 for none)."""
+A live worker writes far more often: its longest pause is a join request that is not answered (5 s).
+"""
+
+WriteState = Callable[[str, int], None]
+"""Called with the state and the version of the policy held, which is negative for none."""
 
 
 @dataclass(frozen=True)
-class ActorState:
-    """What an actor said of itself: its state, its policy's version (below 0: none) and the Unix time in seconds."""
+class WorkerState:
+    """A worker's state, the version of its policy (negative: none) and the Unix time in seconds of the report."""
 
     state: str
     version: int
     time_s: float
 
 
-def state_keeper(path: Path | None) -> Keep:
-    """What keeps an actor's state in the file; where there is none, it keeps nothing.
+def state_writer(path: Path | None) -> WriteState:
+    """A function that writes a worker's state to the file, or does nothing if `path` is None.
 
     Raises:
-        SettingsError: the file cannot be written. Later failures only let it grow old.
+        SettingsError: the file cannot be written. Later failures are not raised: the file grows stale, which a health
+            check notices.
     """
     if path is None:
         return lambda state, version: None
@@ -42,27 +46,27 @@ def state_keeper(path: Path | None) -> Keep:
             f"--state-file {path} cannot be written ({error.strerror}); choose a file in a directory that this user "
             "may write"
         ) from None
-    return lambda state, version: _write(path, ActorState(state, version, time.time()))
+    return lambda state, version: _write(path, WorkerState(state, version, time.time()))
 
 
-def read_state(path: Path) -> ActorState | None:
-    """What the actor said last; None where there is no such file, or nothing in it yet.
+def read_state(path: Path) -> WorkerState | None:
+    """The last state written; None if there is no such file or nothing in it yet.
 
     Raises:
-        SettingsError: the file is something else.
+        SettingsError: the file is not a state file.
     """
     try:
         text = path.read_text()
-        return ActorState(**json.loads(text)) if text else None
+        return WorkerState(**json.loads(text)) if text else None
     except FileNotFoundError:
         return None
     except (OSError, ValueError, TypeError) as error:
         raise SettingsError(f"--state-file {path} is not one that an actor keeps: {error}") from None
 
 
-def _write(path: Path, state: ActorState) -> None:
-    """Beside, then renamed: a reader sees the whole of the old or of the new."""
-    beside = path.with_suffix(".part")
+def _write(path: Path, state: WorkerState) -> None:
+    """Write a temporary file and rename it, so that a reader never sees half a state."""
+    temporary = path.with_suffix(".part")
     with suppress(OSError):
-        beside.write_text(json.dumps(asdict(state)))
-        beside.replace(path)
+        temporary.write_text(json.dumps(asdict(state)))
+        temporary.replace(path)

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.recovery import RUN, Recovery, Timeline, compiled_at_s, run_options, table
 from common.errors import SettingsError
 from common.log.writer import LogWriter
-from services.worker.state_file import state_keeper
+from services.worker.state_file import state_writer
 
 
 def write_log(run_dir: Path) -> None:
@@ -43,7 +43,7 @@ def test_when_an_actor_has_compiled(tmp_path: Path) -> None:
     """By its state file, once it says that it does something else."""
     path = tmp_path / "state.json"
     assert compiled_at_s(path) is None
-    keep = state_keeper(path)
+    keep = state_writer(path)
     for state in ("starting", "standing by", "compiling"):
         keep(state, -1)
         assert compiled_at_s(path) is None

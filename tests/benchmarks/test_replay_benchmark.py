@@ -18,7 +18,7 @@ AGREED = Verdict(updates=UPDATES, tolerance_from=None, divergence=None, live_s=3
 @pytest.fixture
 def run_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A small log, of which little is read."""
-    monkeypatch.setattr(replay, "prepare_jax", lambda: None)
+    monkeypatch.setattr(replay, "enable_compilation_cache", lambda: None)
     monkeypatch.setattr(replay, "READ_BYTES", 1e4)
     return write_log(tmp_path / "run", made_up().messages)
 

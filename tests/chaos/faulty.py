@@ -153,7 +153,7 @@ def leave(target: str, number: str, text: str = "") -> None:
 def rogue(account: str) -> None:
     from tests.chaos.rogue import Rogue
 
-    wrap("services.worker.link:Link.push", Rogue(Path(account)).push)
+    wrap("services.actor.link:ActorLink.push", Rogue(Path(account)).push)
 
 
 def small(size: str) -> None:

@@ -27,7 +27,7 @@ ASK_S = 30.0
 
 
 class Rogue:
-    """Stands in the place of `Link.push`."""
+    """Stands in the place of `ActorLink.push`."""
 
     def __init__(self, account: Path) -> None:
         self._account = account

@@ -32,7 +32,7 @@ from tests.chaos.interruptions import (
 pytestmark = pytest.mark.timeout(400)
 
 COLLECT = "services.actor.collector:Collector.collect"
-PUSH = "services.worker.link:Link.push"
+PUSH = "services.actor.link:ActorLink.push"
 UPDATE = "services.learner.training.trainer:Trainer.update"
 
 LOADED = 3

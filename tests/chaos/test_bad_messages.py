@@ -30,7 +30,7 @@ def test_a_rogue_actor_and_a_bad_line(
         run_dir,
         [*OPTIONS, "--transport.max-message-bytes", AGREED_BYTES],
         # One slot's actor lies, the other does not hear every order.
-        actor_faults=([f"rogue {account}"], ["drop 6 services.worker.link:Link._on_orders"]),
+        actor_faults=([f"rogue {account}"], ["drop 6 services.actor.link:ActorLink._on_orders"]),
     )
     send_too_much(apart)
     apart.end()

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from common import runtime
-from common.runtime import PACKAGES, hardware, prepare_jax, software_versions, source_commit
+from common.runtime import PACKAGES, enable_compilation_cache, hardware, software_versions, source_commit
 
 
 def test_versions_of_all_that_takes_part(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -67,7 +67,7 @@ def test_where_compiled_programs_are_kept(
     """In the folder that was chosen, else the user's; those that took a second or more to compile."""
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
-    prepare_jax()
+    enable_compilation_cache()
     assert jax.config.jax_compilation_cache_dir == folder
     assert jax.config.jax_persistent_cache_min_compile_time_secs == 1.0
 

@@ -39,7 +39,7 @@ def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name)
     monkeypatch.setenv("COLUMNS", "120")
     for service in (services.actor.service, services.learner.service):
-        monkeypatch.setattr(service, "prepare_jax", lambda: None)
+        monkeypatch.setattr(service, "enable_compilation_cache", lambda: None)
 
 
 @pytest.fixture

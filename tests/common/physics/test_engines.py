@@ -9,7 +9,7 @@ import pytest
 
 from common.errors import PhysicsError, SettingsError
 from common.physics import engines
-from common.physics.engines import prepare_jax, resolve_physics
+from common.physics.engines import require_synchronous_dispatch, resolve_physics
 
 ASYNCHRONOUS = "jax_cpu_enable_async_dispatch"
 
@@ -48,7 +48,7 @@ def test_an_unknown_engine_is_refused_with_the_names_there_are() -> None:
 def test_jax_that_has_not_started_is_prepared(monkeypatch: pytest.MonkeyPatch) -> None:
     """Before JAX is used, asynchronous dispatch is turned off and nothing is asked of the user."""
     monkeypatch.setattr(engines, "backends_are_initialized", lambda: False)
-    prepare_jax()
+    require_synchronous_dispatch()
     assert jax.config.read(ASYNCHRONOUS) is False
 
 
@@ -66,5 +66,5 @@ def test_auto_prepares_jax_before_it_starts_it(monkeypatch: pytest.MonkeyPatch) 
 def test_jax_that_started_otherwise_is_refused_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where calls to the native engine could hang, there is an error before the first of them."""
     monkeypatch.setattr(engines, "backends_are_initialized", lambda: True)
-    with pytest.raises(PhysicsError, match=r"prepare_jax\(\).*JAX_CPU_ENABLE_ASYNC_DISPATCH=0"):
-        prepare_jax()
+    with pytest.raises(PhysicsError, match=r"require_synchronous_dispatch\(\).*JAX_CPU_ENABLE_ASYNC_DISPATCH=0"):
+        require_synchronous_dispatch()

@@ -246,12 +246,12 @@ def test_impossible_settings_are_refused(settings: dict[str, Any], message: str)
 
 
 def test_a_jax_that_could_hang_is_refused_before_anything_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`make_environment` checks what `prepare_jax` prepares."""
+    """`make_environment` checks what `require_synchronous_dispatch` prepares."""
 
     def refuse() -> None:
         raise PhysicsError("started otherwise")
 
-    monkeypatch.setattr("common.physics.environments.prepare_jax", refuse)
+    monkeypatch.setattr("common.physics.environments.require_synchronous_dispatch", refuse)
     monkeypatch.setattr("common.physics.environments.load_task", lambda task: pytest.fail("loaded"))
     with pytest.raises(PhysicsError, match="started otherwise"):
         make_environment("hopper", "native", num_envs=1)

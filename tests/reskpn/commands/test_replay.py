@@ -48,7 +48,7 @@ class Learner:
 @pytest.fixture(autouse=True)
 def learner(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(services.learner.training.trainer, "Trainer", Learner)
-    monkeypatch.setattr(common.runtime, "prepare_jax", lambda: None)
+    monkeypatch.setattr(common.runtime, "enable_compilation_cache", lambda: None)
     before = dict(UPDATE_3)
     yield
     UPDATE_3.update(before)

@@ -23,7 +23,8 @@ from common.log.writer import LogWriter
 from common.wire.messages import Environment, digest_arrays
 from common.wire.session import Session
 from services.actor import service
-from services.actor.collector import Experience, Place
+from services.actor.collector import SlotGeneration
+from services.actor.rollouts import CollectedRollout, Trajectory
 from services.actor.service import run_actor
 from services.learner.endpoints.hub import Hub
 from services.learner.scheduling.slots import Start
@@ -43,31 +44,42 @@ class Reader:
         return arrays
 
 
-class StandIn:
-    """Rollouts whose rewards tell the policy, the place and the number they were made with."""
+def collected(reward: np.ndarray) -> CollectedRollout[np.ndarray]:
+    """A rollout of the samples in which no episode ends, as it comes from the environments."""
+    sample = rollout(reward=reward)
+    none = np.zeros((0, 2, 4), np.float32)
+    steps = Trajectory(
+        obs=sample.obs, action=sample.action, log_prob=sample.log_prob, reward=reward, terminated=sample.terminated,
+        truncated=sample.truncated, next_obs=none, episode_return=reward, episode_length=np.zeros((3, 2), np.int32),
+    )  # fmt: skip
+    mirror = Trajectory(
+        obs=sample.mirror_obs, action=sample.mirror_action, log_prob=sample.mirror_reward, reward=sample.mirror_reward,
+        terminated=sample.mirror_terminated, truncated=sample.mirror_truncated, next_obs=sample.mirror_obs,
+        episode_return=sample.mirror_reward, episode_length=np.zeros(0, np.int32),
+    )  # fmt: skip
+    return CollectedRollout(steps, sample.last_obs, np.zeros((2, 4), np.float32), mirror)
 
-    made: list[tuple[Place, int, float]]
+
+class StandIn:
+    """Rollouts whose rewards tell the policy, the slot and the number they were made with."""
+
+    made: list[tuple[SlotGeneration, int, float]]
     ready: threading.Event
     before_rollout: Callable[[], None]
 
-    def __init__(self, settings: Any, place: Place, reader: Reader, threads: int) -> None:
-        self.place = place
+    def __init__(self, settings: Any, holder: SlotGeneration, reader: Reader, threads: int) -> None:
+        self.holder = holder
         self.seq = 0
         self.physics = settings.physics
 
     def compile(self) -> None:
         assert self.ready.wait(DEADLINE_S)
 
-    def collect(self, policy: dict[str, np.ndarray]) -> Experience:
+    def collect(self, policy: dict[str, np.ndarray]) -> tuple[CollectedRollout[np.ndarray], dict[str, float]]:
         version = float(policy["count"])
         type(self).before_rollout()
-        self.made.append((self.place, self.seq, version))
-        arrays = {
-            name: value
-            for name, value in vars(rollout(reward=np.full((3, 2), version, np.float32))).items()
-            if isinstance(value, np.ndarray)
-        }
-        return Experience(arrays, TIMING)
+        self.made.append((self.holder, self.seq, version))
+        return collected(np.full((3, 2), version, np.float32)), dict(TIMING)
 
     def keep(self) -> None:
         self.seq += 1
@@ -86,14 +98,14 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> type[StandIn]:
     """The collector's stand-in, which keeps what it made; it has compiled unless its `ready` is cleared."""
 
     class Fresh(StandIn):
-        made: list[tuple[Place, int, float]] = []  # noqa: RUF012
+        made: list[tuple[SlotGeneration, int, float]] = []  # noqa: RUF012
         ready = threading.Event()
         before_rollout = staticmethod(lambda: None)
 
     Fresh.ready.set()
     monkeypatch.setattr(service, "Collector", Fresh)
     monkeypatch.setattr(service, "PolicyReader", Reader)
-    monkeypatch.setattr(service, "prepare_jax", lambda: None)
+    monkeypatch.setattr(service, "enable_compilation_cache", lambda: None)
     monkeypatch.setattr(
         service,
         "evaluate",
@@ -176,13 +188,13 @@ def test_in_async_mode_an_actor_works_on(
     learner = learners(actors=1, num_envs=2, mode="async", max_staleness=2)
     done = actors()
     learner.until(lambda: learner.hub.report().totals.accepted == 3)
-    assert stand_in.made == [(Place(0, 0), seq, 0.0) for seq in range(3)]
+    assert stand_in.made == [(SlotGeneration(0, 0), seq, 0.0) for seq in range(3)]
     assert learner.batch() == [0.0]
     for version in (1, 2, 3):
         learner.hub.publish(snapshot(version))
         learner.until(lambda version=version: learner.hub.report().totals.accepted == 3 + version)
         assert learner.batch() == [max(0.0, version - 2)]
-    assert stand_in.made[3:] == [(Place(0, 0), 2 + version, float(version)) for version in (1, 2, 3)]
+    assert stand_in.made[3:] == [(SlotGeneration(0, 0), 2 + version, float(version)) for version in (1, 2, 3)]
     learner.hub.finish()
     assert done.result(DEADLINE_S) == 0
     assert learner.hub.refusals() == {}
@@ -201,7 +213,7 @@ def test_an_actor_does_what_is_asked(learners: Callable[..., Learner], actors: A
     assert (evaluation.version, evaluation.episode_return.tolist()) == (3, [3.0] * 6)
     learner.hub.finish()
     assert done.result(DEADLINE_S) == 0
-    assert stand_in.made == [(Place(0, 0), seq, float(seq)) for seq in range(3)]
+    assert stand_in.made == [(SlotGeneration(0, 0), seq, float(seq)) for seq in range(3)]
     assert actors.said == [f"joined {RUN} as slot 0 (generation 0) with native physics", "the run is over"]
 
 
@@ -214,7 +226,7 @@ def test_two_actors_share_a_run(
     for version in range(2):
         assert learner.batch() == [float(version)] * 2
         learner.hub.publish(snapshot(version + 1))
-    assert sorted(place.slot for place, _, version in stand_in.made if version == 0.0) == [0, 1]
+    assert sorted(holder.slot for holder, _, version in stand_in.made if version == 0.0) == [0, 1]
     learner.hub.finish()
     assert [one.result(DEADLINE_S) for one in both] == [0, 0]
 
@@ -271,7 +283,9 @@ def test_an_actor_alone_does_the_work_of_two(
         learner.hub.publish(snapshot(version + 1))
     learner.hub.finish()
     assert done.result(DEADLINE_S) == 0
-    assert stand_in.made[:4] == [(Place(0, 0), seq, version) for seq, version in enumerate([0.0, 0.0, 1.0, 1.0])]
+    assert stand_in.made[:4] == [
+        (SlotGeneration(0, 0), seq, version) for seq, version in enumerate([0.0, 0.0, 1.0, 1.0])
+    ]
 
 
 def test_a_rollout_that_comes_too_late_is_made_anew(
@@ -339,7 +353,7 @@ def test_an_actor_whose_slot_was_given_away_joins_again(
     learner.hub._lose("other", "is gone")
     assert learner.batch() == [2.0]
     # Generation 1 was "other".
-    assert stand_in.made[-1] == (Place(0, 2), 0, 2.0)
+    assert stand_in.made[-1] == (SlotGeneration(0, 2), 0, 2.0)
     learner.hub.finish()
     assert done.result(DEADLINE_S) == 0
 
@@ -442,7 +456,7 @@ def test_an_actor_goes_on_with_what_it_is_given(
     learner = learners(actors=1, num_envs=2, starts=[kept_state(seq=np.array(7, np.int32))])
     done = actors()
     assert learner.batch() == [0.0]
-    assert stand_in.made == [(Place(0, 2), 7, 0.0)]
+    assert stand_in.made == [(SlotGeneration(0, 2), 7, 0.0)]
     learner.hub.finish()
     assert done.result(DEADLINE_S) == 0
 

@@ -1,4 +1,4 @@
-"""Rollouts and evaluations: what an actor makes is a function of policy, settings and place, and nothing else."""
+"""Rollouts and evaluations: they are a function of policy, settings, slot and generation, and of nothing else."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from common.maths.rkhs.make import make_representation
 from common.maths.trees import to_arrays
 from common.physics.environments import BatchedEnvironment, make_environment
 from common.wire.messages import Rollout, RolloutShape
-from services.actor.collector import COLLECT, RESET, Collector, Experience, Place
+from services.actor.collector import COLLECT, RESET, Collector, SlotGeneration
+from services.actor.rollouts import rollout_message
 from services.worker.deterministic import DeterministicEpisodes, evaluate
+from services.worker.joining import Assignment
 from services.worker.policy_reader import PolicyReader
 
 ENVS, STEPS, EPISODE = 4, 5, 7
@@ -27,7 +29,8 @@ ROLLOUTS = 8
 SETTINGS = settings(
     actors=2, num_envs=2 * ENVS, num_steps=STEPS, total_steps=400, episode_length=EPISODE, rkhs={"capacity": 6}
 )
-PLACE = Place(slot=1, generation=2)
+HOLDER = SlotGeneration(slot=1, generation=2)
+ASSIGNMENT = Assignment("r", 1, 2, "a", SETTINGS)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -63,26 +66,37 @@ def policy(reader: PolicyReader) -> Policy:
     return reader.read(arrays)
 
 
-def make_collector(reader: PolicyReader, place: Place = PLACE) -> Collector:
-    collector = Collector(SETTINGS, place, reader)
+def collect(collector: Collector, policy: Policy) -> Rollout:
+    """The message of the collector's next rollout."""
+    collected, timing = collector.collect(policy)
+    return rollout_message(collected, ASSIGNMENT, seq=collector.seq, version=0, timing=timing)
+
+
+def arrays_of(sent: Rollout) -> dict[str, np.ndarray]:
+    """Its arrays, by the names of its fields."""
+    return {name: value for name, value in vars(sent).items() if isinstance(value, np.ndarray)}
+
+
+def make_collector(reader: PolicyReader, holder: SlotGeneration = HOLDER) -> Collector:
+    collector = Collector(SETTINGS, holder, reader)
     collector.compile()
     return collector
 
 
 @pytest.fixture(scope="module")
-def used(reader: PolicyReader, policy: Policy) -> tuple[Collector, list[Experience]]:
+def used(reader: PolicyReader, policy: Policy) -> tuple[Collector, list[Rollout]]:
     """A collector whose rollouts were all kept, and those rollouts."""
     collector = make_collector(reader)
     made = []
     for _ in range(ROLLOUTS):
-        made.append(collector.collect(policy))
+        made.append(collect(collector, policy))
         collector.keep()
     return collector, made
 
 
 @pytest.fixture(scope="module")
-def made(used: tuple[Collector, list[Experience]]) -> list[dict[str, np.ndarray]]:
-    return [experience.arrays for experience in used[1]]
+def made(used: tuple[Collector, list[Rollout]]) -> list[dict[str, np.ndarray]]:
+    return [arrays_of(sent) for sent in used[1]]
 
 
 def assert_same(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> None:
@@ -96,30 +110,29 @@ def joined(made: list[dict[str, np.ndarray]], name: str) -> np.ndarray:
     return np.concatenate([arrays[name] for arrays in made])
 
 
-def test_a_rollout_fits_its_message(made: list[dict[str, np.ndarray]]) -> None:
+def test_a_rollout_fits_its_message(used: tuple[Collector, list[Rollout]]) -> None:
     """Shapes, dtypes and values are those that the learner checks."""
-    for seq, arrays in enumerate(made):
-        sent = Rollout("r", 1, "a", seq, 0, 1, timing={}, **arrays)
+    for sent in used[1]:
         Rollout.decode(sent.encode()).check(RolloutShape(STEPS, ENVS, 4, 1))
 
 
 def test_until_it_is_kept_a_rollout_is_made_again(
-    used: tuple[Collector, list[Experience]], policy: Policy, reader: PolicyReader
+    used: tuple[Collector, list[Rollout]], policy: Policy, reader: PolicyReader
 ) -> None:
     """The same bits, as often as it is asked for; another policy starts from the same states."""
     collector, _ = used
     seq = collector.seq
-    first, second = collector.collect(policy), collector.collect(policy)
-    assert_same(first.arrays, second.arrays)
-    other = collector.collect(reader.template)
-    np.testing.assert_array_equal(other.arrays["obs"][0], first.arrays["obs"][0])
-    assert (other.arrays["action"] != first.arrays["action"]).any()
-    assert_same(collector.collect(policy).arrays, first.arrays)
+    first, second = arrays_of(collect(collector, policy)), arrays_of(collect(collector, policy))
+    assert_same(first, second)
+    other = arrays_of(collect(collector, reader.template))
+    np.testing.assert_array_equal(other["obs"][0], first["obs"][0])
+    assert (other["action"] != first["action"]).any()
+    assert_same(arrays_of(collect(collector, policy)), first)
     assert collector.seq == seq
 
 
 def test_once_kept_the_environments_go_on(
-    used: tuple[Collector, list[Experience]], made: list[dict[str, np.ndarray]]
+    used: tuple[Collector, list[Rollout]], made: list[dict[str, np.ndarray]]
 ) -> None:
     """A rollout starts with the observations that the one before ended with, and draws other noise."""
     assert used[0].seq == ROLLOUTS
@@ -128,22 +141,22 @@ def test_once_kept_the_environments_go_on(
         assert (after["action"] != before["action"]).all()
 
 
-def test_the_same_place_makes_the_same_rollouts(
+def test_the_same_slot_makes_the_same_rollouts(
     reader: PolicyReader, policy: Policy, made: list[dict[str, np.ndarray]]
 ) -> None:
     """Seed, slot, generation and seq decide: an actor on another machine makes the same bits."""
     fresh = make_collector(reader)
     for arrays in made[:3]:
-        assert_same(fresh.collect(policy).arrays, arrays)
+        assert_same(arrays_of(collect(fresh, policy)), arrays)
         fresh.keep()
 
 
-@pytest.mark.parametrize("place", [Place(slot=0, generation=2), Place(slot=1, generation=0)])
-def test_another_place_makes_other_rollouts(
-    reader: PolicyReader, policy: Policy, made: list[dict[str, np.ndarray]], place: Place
+@pytest.mark.parametrize("holder", [SlotGeneration(slot=0, generation=2), SlotGeneration(slot=1, generation=0)])
+def test_another_slot_or_generation_makes_other_rollouts(
+    reader: PolicyReader, policy: Policy, made: list[dict[str, np.ndarray]], holder: SlotGeneration
 ) -> None:
     """No two slots, and no two holders of a slot, see the same starts or draw the same noise."""
-    other = make_collector(reader, place).collect(policy).arrays
+    other = arrays_of(collect(make_collector(reader, holder), policy))
     assert (other["obs"][0] != made[0]["obs"][0]).any(axis=-1).all()
     assert (other["action"] != made[0]["action"]).all()
 
@@ -196,13 +209,13 @@ def test_actions_are_drawn_from_the_policy(
 
 @pytest.fixture(scope="module")
 def branching(quick_compiler: None, policy: Policy) -> list[dict[str, np.ndarray]]:
-    """Three rollouts of a run whose gradient is estimated symmetrically, at the same place."""
+    """Three rollouts of a run whose gradient is estimated symmetrically, of the same slot and generation."""
     run = settings(**SETTINGS.model_dump() | {"rkhs": {"capacity": 6, "estimate": "symmetric"}})
-    collector = Collector(run, PLACE, PolicyReader(run))
+    collector = Collector(run, HOLDER, PolicyReader(run))
     collector.compile()
     arrays = []
     for _ in range(3):
-        arrays.append(collector.collect(policy).arrays)
+        arrays.append(arrays_of(collect(collector, policy)))
         collector.keep()
     return arrays
 
@@ -214,7 +227,7 @@ def test_a_branch_is_the_last_step_with_the_mirrored_action(
     branching: list[dict[str, np.ndarray]],
 ) -> None:
     """From the very state before it, a' = 2 m(o) - a; stepped by hand it gives the same reward, end and observation."""
-    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(SETTINGS.seed), PLACE.slot), PLACE.generation)
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(SETTINGS.seed), HOLDER.slot), HOLDER.generation)
     state = environment.reset(jax.random.fold_in(key, RESET))
     for arrays in branching:
         for action in arrays["action"]:
@@ -244,8 +257,8 @@ def test_a_branch_leaves_the_rollouts_as_they_are(
 def test_rewards_and_ends_are_those_of_the_environments(
     environment: BatchedEnvironment, made: list[dict[str, np.ndarray]]
 ) -> None:
-    """The recorded actions, stepped one by one from the place's first states, give the recorded rollouts."""
-    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(SETTINGS.seed), PLACE.slot), PLACE.generation)
+    """The recorded actions, stepped one by one from the slot's first states, give the recorded rollouts."""
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(SETTINGS.seed), HOLDER.slot), HOLDER.generation)
     state = environment.reset(jax.random.fold_in(key, RESET))
     assert RESET != COLLECT
     for arrays in made:
@@ -301,15 +314,15 @@ def test_an_episode_is_cut_at_its_length(made: list[dict[str, np.ndarray]]) -> N
         assert not (arrays["terminated"] & arrays["truncated"]).any()
 
 
-def test_time_is_told_by_phase(used: tuple[Collector, list[Experience]]) -> None:
+def test_time_is_told_by_phase(used: tuple[Collector, list[Rollout]]) -> None:
     """Seconds inside the physics engine, and the rest."""
-    for experience in used[1]:
-        assert set(experience.timing) == {"collect", "physics"}
-        assert experience.timing["physics"] > 0.0
-        assert experience.timing["collect"] > 0.0
+    for sent in used[1]:
+        assert set(sent.timing) == {"collect", "physics"}
+        assert sent.timing["physics"] > 0.0
+        assert sent.timing["collect"] > 0.0
 
 
-def test_the_engine_is_known(used: tuple[Collector, list[Experience]]) -> None:
+def test_the_engine_is_known(used: tuple[Collector, list[Rollout]]) -> None:
     """By the name that the run's summary uses."""
     assert used[0].physics == "native"
 
@@ -392,9 +405,9 @@ def test_the_first_episode_is_kept(environment: BatchedEnvironment, reader: Poli
 
 
 def test_environments_go_on_elsewhere(
-    reader: PolicyReader, policy: Policy, used: tuple[Collector, list[Experience]]
+    reader: PolicyReader, policy: Policy, used: tuple[Collector, list[Rollout]]
 ) -> None:
-    """Handed to another collector of the same place, which makes the rollouts that would have followed, bit for bit."""
+    """Handed to another collector of the same slot, which makes the rollouts that would have followed, bit for bit."""
     collector = make_collector(reader)
     for _ in range(2):
         collector.collect(policy)
@@ -403,7 +416,7 @@ def test_environments_go_on_elsewhere(
     heir.collect(policy)  # not kept: of no consequence
     heir.restore(collector.environments(), collector.seq)
     for following in used[1][2:5]:
-        assert_same(heir.collect(policy).arrays, following.arrays)
+        assert_same(arrays_of(collect(heir, policy)), arrays_of(following))
         heir.keep()
     assert heir.seq == 5
 

@@ -14,11 +14,11 @@ from samples import RUN, settings
 from common.errors import SessionError
 from common.wire.messages import Heartbeat
 from services.actor import heartbeat
-from services.actor.heartbeat import NO_POLICY, Heart
-from services.worker.link import Membership
+from services.actor.heartbeat import NO_POLICY, HeartbeatSender
+from services.worker.joining import Assignment
 
 DEADLINE_S = 15.0
-MEMBER = Membership(RUN, 3, 1, "a", settings())
+MEMBER = Assignment(RUN, 3, 1, "a", settings())
 
 
 class Beats:
@@ -28,7 +28,7 @@ class Beats:
         self.heard: Queue[Heartbeat] = Queue()
         self.closed = False
 
-    def beat(self, beat: Heartbeat) -> None:
+    def send_heartbeat(self, beat: Heartbeat) -> None:
         if self.closed:
             raise SessionError("this session is closed")
         self.heard.put(beat)
@@ -43,9 +43,9 @@ def beats() -> Beats:
 
 
 @pytest.fixture
-def heart(beats: Beats) -> Heart:
+def heart(beats: Beats) -> HeartbeatSender:
     link: Any = beats
-    return Heart(link, MEMBER)
+    return HeartbeatSender(link, MEMBER)
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def still(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(heartbeat, "PERIOD_S", 3600.0)
 
 
-def test_the_first_is_sent_at_once(heart: Heart, beats: Beats, still: None) -> None:
+def test_the_first_is_sent_at_once(heart: HeartbeatSender, beats: Beats, still: None) -> None:
     """It says who the actor is, and that it compiles."""
     with heart:
         beat = beats.next()
@@ -62,26 +62,26 @@ def test_the_first_is_sent_at_once(heart: Heart, beats: Beats, still: None) -> N
     assert (beat.version, beat.env_steps, beat.steps_per_s) == (0, 0, 0.0)
 
 
-def test_they_go_on(heart: Heart, beats: Beats, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_they_go_on(heart: HeartbeatSender, beats: Beats, monkeypatch: pytest.MonkeyPatch) -> None:
     """By themselves, with what the actor does at that time."""
     monkeypatch.setattr(heartbeat, "PERIOD_S", 0.01)
     with heart:
-        heart.state("waiting")
+        heart.set_state("waiting")
         heart.version = 7
-        heart.state("collecting")
+        heart.set_state("collecting")
         while (beat := beats.next()).state != "collecting":
             assert beat.state in ("compiling", "waiting")
         assert beat.version == 7
         assert beats.next().state == "collecting"
 
 
-def test_being_ready_is_told_at_once(heart: Heart, beats: Beats, still: None) -> None:
+def test_being_ready_is_told_at_once(heart: HeartbeatSender, beats: Beats, still: None) -> None:
     """Work depends on it; other changes wait for the next heartbeat."""
     with heart:
         assert beats.next().state == "compiling"
-        heart.state("waiting")
+        heart.set_state("waiting")
         assert beats.heard.get_nowait().state == "waiting"
-        heart.state("collecting")
+        heart.set_state("collecting")
         with pytest.raises(Empty):
             beats.heard.get_nowait()
 
@@ -90,15 +90,15 @@ def test_what_is_beaten_is_also_kept(beats: Beats, still: None) -> None:
     """For checks on the actor's own machine, where no policy is told from policy 0."""
     kept: list[tuple[str, int]] = []
     link: Any = beats
-    with Heart(link, MEMBER, lambda state, version: kept.append((state, version))) as heart:
+    with HeartbeatSender(link, MEMBER, lambda state, version: kept.append((state, version))) as heart:
         assert beats.next().version == 0
         heart.version = 0
-        heart.state("waiting")
+        heart.set_state("waiting")
         assert beats.next().version == 0
     assert kept == [("compiling", NO_POLICY), ("waiting", 0)]
 
 
-def test_none_is_sent_after_the_end(heart: Heart, beats: Beats, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_none_is_sent_after_the_end(heart: HeartbeatSender, beats: Beats, monkeypatch: pytest.MonkeyPatch) -> None:
     """Leaving waits for the thread, not for the period."""
     with heart:
         beats.next()
@@ -107,7 +107,7 @@ def test_none_is_sent_after_the_end(heart: Heart, beats: Beats, monkeypatch: pyt
 
 
 def test_a_closed_session_ends_them(
-    heart: Heart, beats: Beats, monkeypatch: pytest.MonkeyPatch, until: Callable[..., None]
+    heart: HeartbeatSender, beats: Beats, monkeypatch: pytest.MonkeyPatch, until: Callable[..., None]
 ) -> None:
     """Without a word: the actor's own thread finds out, too."""
     monkeypatch.setattr(heartbeat, "PERIOD_S", 0.01)
@@ -117,7 +117,7 @@ def test_a_closed_session_ends_them(
         until(lambda: "heartbeat" not in {thread.name for thread in threading.enumerate()})
 
 
-def test_times_and_speed(heart: Heart, beats: Beats, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_times_and_speed(heart: HeartbeatSender, beats: Beats, monkeypatch: pytest.MonkeyPatch) -> None:
     """Seconds in the state, all steps taken, and the speed since the first steps were there."""
     clock = SimpleNamespace(now=50.0)
     monkeypatch.setattr(heartbeat, "time", SimpleNamespace(monotonic=lambda: clock.now, time_ns=lambda: 99))
@@ -133,7 +133,7 @@ def test_times_and_speed(heart: Heart, beats: Beats, monkeypatch: pytest.MonkeyP
         return beats.next()
 
     with heart:
-        heart.state("waiting")
+        heart.set_state("waiting")
         assert beat_at(53.0).state_s == 3.0
         # The first steps: nobody knows how long they took.
         first = beat_at(53.0, env_steps=1000)

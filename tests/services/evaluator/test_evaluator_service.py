@@ -23,7 +23,7 @@ from common.log.writer import LogWriter
 from common.wire.session import Session
 from services.evaluator import service
 from services.evaluator.link import EvaluatorLink
-from services.evaluator.service import Work, run_evaluator
+from services.evaluator.service import EvaluationOptions, run_evaluator
 from services.learner.endpoints.hub import Hub
 from services.worker.deterministic import Episodes
 from services.worker.state_file import read_state
@@ -76,7 +76,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> type[StandIn]:
     monkeypatch.setattr(service, "EvaluatorLink", Kept)
     monkeypatch.setattr(service, "DeterministicEpisodes", Fresh)
     monkeypatch.setattr(service, "PolicyReader", Reader)
-    monkeypatch.setattr(service, "prepare_jax", lambda: None)
+    monkeypatch.setattr(service, "enable_compilation_cache", lambda: None)
     return Fresh
 
 
@@ -126,10 +126,10 @@ def evaluators(endpoint: str, stand_in: type[StandIn]) -> Iterator[Any]:
     said: list[str] = []
     with ThreadPoolExecutor(2) as pool:
 
-        def start(work: Work | None = None, **changes: Any) -> Future[int]:
+        def start(work: EvaluationOptions | None = None, **changes: Any) -> Future[int]:
             options: dict[str, Any] = {"run": "", "connect_timeout_s": DEADLINE_S, "rejoin_timeout_s": DEADLINE_S}
             transport = TransportSettings(endpoint=endpoint)
-            work = work or Work(every=1, episodes=3, physics="native")
+            work = work or EvaluationOptions(every=1, episodes=3, physics="native")
             return pool.submit(run_evaluator, transport, work, **options | changes, stop=stop, say=said.append)
 
         start.stop, start.said = stop, said  # type: ignore[attr-defined]
@@ -177,7 +177,7 @@ def test_every_so_many_versions(learners: Any, evaluators: Any, stand_in: type[S
     """With 4: the one it finds, then 4 or what has come after it, then 8."""
     learner = learners()
     learner.hub.publish(snapshot(1))
-    evaluators(Work(every=4, episodes=1, positions=0, physics="native"))
+    evaluators(EvaluationOptions(every=4, episodes=1, positions=0, physics="native"))
     until(lambda: learner.evaluated() == [1])
     for version, expected in ((2, [1]), (3, [1]), (5, [1, 5]), (7, [1, 5]), (8, [1, 5, 8])):
         learner.hub.publish(snapshot(version))
@@ -251,5 +251,5 @@ def test_another_run_is_not_followed(learners: Any, evaluators: Any) -> None:
 def test_impossible_work(given: dict[str, int], text: str) -> None:
     """Is refused at once, with what is allowed."""
     with pytest.raises(SettingsError) as caught:
-        Work(**given)
+        EvaluationOptions(**given)
     assert str(caught.value) == text

@@ -163,7 +163,7 @@ def test_an_event_is_shown_when_the_log_is_closed(tmp_path: Path) -> None:
 
 def test_a_run_that_cannot_listen_leaves_no_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A port in use is found before anything is written, so that the same command works once it is free."""
-    monkeypatch.setattr(service, "prepare_jax", lambda: None)
+    monkeypatch.setattr(service, "enable_compilation_cache", lambda: None)
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()

@@ -1,4 +1,4 @@
-"""The actor's side of the conversation, with a learner that says what the test wants it to say."""
+"""The links of workers to their learner, with a learner that answers what the test has prepared."""
 
 from __future__ import annotations
 
@@ -11,44 +11,27 @@ from queue import Queue
 from typing import Any
 
 import pytest
+from learner_script import Script, ask_to_join
 from samples import RUN, evaluation, heartbeat, rollout, settings, snapshot
 
 from common.errors import RefusedError, SessionError
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from common.wire import codec
-from common.wire.keys import JOIN, Keys
-from common.wire.messages import Join, JoinReply, Orders, PushReply, Rollout
+from common.wire.keys import Keys
+from common.wire.messages import Orders, PushReply, Rollout
 from common.wire.session import Request, Session
+from services.actor.link import ActorLink
 from services.learner.endpoints.hub import Hub
-from services.worker.link import Link, Lost, Membership, join
+from services.worker.joining import Assignment
+from services.worker.link import AssignmentLost
 
 DEADLINE_S = 15.0
 KEYS = Keys(RUN)
 ACCEPTED = PushReply("accepted", "")
-MEMBER = Membership(RUN, 0, 0, "a", settings())
+MEMBER = Assignment(RUN, 0, 0, "a", settings())
 
 Sessions = Callable[..., Session]
-
-
-class Script:
-    """Answers what is asked on a key with the next of its answers, and keeps what was asked.
-
-    None is an answer that never comes: the request is kept open.
-    """
-
-    def __init__(self, *answers: bytes | None) -> None:
-        self.answers = list(answers)
-        self.asked: list[bytes] = []
-        self.open: list[Request] = []
-
-    def __call__(self, request: Request) -> None:
-        self.asked.append(request.payload)
-        answer = self.answers.pop(0)
-        if answer is None:
-            self.open.append(request)
-        else:
-            request.reply(answer)
 
 
 def orders(**changes: Any) -> Orders:
@@ -56,21 +39,12 @@ def orders(**changes: Any) -> Orders:
     return Orders(**values | {"finished": False, "t_ns": 1} | changes)
 
 
-def reply(accepted: bool, reason: str = "", *, final: bool = False) -> bytes:
-    return JoinReply(accepted, reason, final, RUN, 1, 2, settings(seed=7).model_dump_json()).encode()
-
-
-def ask_to_join(session: Session, stop: threading.Event, told: list[str] | None = None) -> Membership | None:
-    heard = [] if told is None else told
-    return join(session, run=RUN, physics="native", versions={}, hardware={}, stop=stop, waiting=heard.append)
-
-
 @pytest.fixture
 def stop() -> threading.Event:
     return threading.Event()
 
 
-Linked = Callable[..., tuple[Session, Link]]
+Linked = Callable[..., tuple[Session, ActorLink]]
 
 
 @pytest.fixture
@@ -79,14 +53,14 @@ def linked(sessions: Sessions, until: Callable[..., None]) -> Linked:
 
     def make(
         pushes: Callable[[Request], None] | None = None, *, push_timeout_s: float = DEADLINE_S
-    ) -> tuple[Session, Link]:
+    ) -> tuple[Session, ActorLink]:
         learner, session = sessions(listen=True), sessions()
         if pushes is not None:
             learner.serve(KEYS.rollouts, pushes)
             learner.serve(KEYS.evaluations, pushes)
         seen = threading.Event()
         session.watch_alive(KEYS.alive("learner", "learner"), lambda key, alive: seen.set())
-        link = Link(session, MEMBER, push_timeout_s=push_timeout_s)
+        link = ActorLink(session, MEMBER, push_timeout_s=push_timeout_s)
         # Declared last: what was declared before is known when this is.
         learner.declare_alive(KEYS.alive("learner", "learner"))
         until(seen.is_set)
@@ -110,102 +84,6 @@ def test_damaged_orders_are_passed_over(linked: Linked, caplog: pytest.LogCaptur
         assert time.monotonic() < deadline
     assert heard == orders(version=5)
     assert caplog.text == ""
-
-
-# -- joining -----------------------------------------------------------------------------------------------
-
-
-def test_joining_gives_a_place_and_the_settings(sessions: Sessions, stop: threading.Event) -> None:
-    """What the learner answered, under the name that was asked with."""
-    learner, script = sessions(listen=True), Script(reply(True))
-    learner.serve(JOIN, script)
-    member = ask_to_join(sessions(), stop)
-    asked = Join.decode(script.asked[0])
-    assert member == Membership(RUN, 1, 2, asked.incarnation, settings(seed=7))
-    assert (asked.run, asked.role, asked.physics) == (RUN, "actor", "native")
-
-
-def test_joining_goes_on_until_there_is_a_learner(
-    sessions: Sessions, stop: threading.Event, until: Callable[..., None]
-) -> None:
-    """An actor may be started first; it says once why it waits."""
-    told: list[str] = []
-    session = sessions(connect_timeout_s=None)
-    with ThreadPoolExecutor(1) as pool:
-        joined = pool.submit(ask_to_join, session, stop, told)
-        until(lambda: bool(told))
-        learner = sessions(listen=True)
-        learner.serve(JOIN, Script(reply(True)))
-        member = joined.result(DEADLINE_S)
-    assert member is not None
-    assert member.slot == 1
-    assert told == ["no learner answers yet"]
-
-
-def test_an_actor_that_stands_by_asks_again_under_new_names(sessions: Sessions, stop: threading.Event) -> None:
-    """A refusal that is not final is tried again; each reason is told once, and no two lives have one name."""
-    learner = sessions(listen=True)
-    script = Script(reply(False, "full"), reply(False, "full"), reply(False, "still full"), reply(True))
-    learner.serve(JOIN, script)
-    told: list[str] = []
-    member = ask_to_join(sessions(), stop, told)
-    assert member is not None
-    assert [reason for reason in told if reason != "no learner answers yet"] == ["full", "still full"]
-    names = [Join.decode(asked).incarnation for asked in script.asked]
-    assert len(set(names)) == 4
-    assert member.incarnation == names[-1]
-
-
-def test_a_final_refusal_ends_it(sessions: Sessions, stop: threading.Event) -> None:
-    """With the learner's reason."""
-    learner = sessions(listen=True)
-    learner.serve(JOIN, Script(reply(False, "this learner runs 'b', not 'a'", final=True)))
-    with pytest.raises(RefusedError, match="the learner does not take this actor: this learner runs 'b', not 'a'"):
-        ask_to_join(sessions(), stop)
-
-
-def test_a_run_that_is_over_is_no_refusal(sessions: Sessions, stop: threading.Event) -> None:
-    """An actor that comes too late, or stood by to the end, has nothing to do and no reason to fail."""
-    learner = sessions(listen=True)
-    learner.serve(JOIN, Script(reply(False, "full"), reply(False, "finished: nothing is left to do", final=True)))
-    told: list[str] = []
-    assert ask_to_join(sessions(), stop, told) is None
-    assert told[-2:] == ["full", "finished: nothing is left to do"]
-
-
-def test_every_question_without_a_slot_is_told(sessions: Sessions, stop: threading.Event) -> None:
-    """Also those with the same reason, so that somebody can see that the actor lives."""
-    learner = sessions(listen=True)
-    learner.serve(JOIN, Script(reply(False, "full"), reply(False, "full"), reply(True)))
-    states: list[str] = []
-    member = join(
-        sessions(), run=RUN, physics="native", versions={}, hardware={}, stop=stop, waiting=str, asked=states.append
-    )
-    assert member is not None
-    assert [state for state in states if state != "alone"] == ["standing by", "standing by"]
-
-
-def test_a_learner_of_another_schema(sessions: Sessions, stop: threading.Event) -> None:
-    """An answer that this release cannot read ends it, too."""
-    learner = sessions(listen=True)
-    other = codec.encode(codec.decode(reply(True)) | {"schema": 999})
-    learner.serve(JOIN, Script(other))
-    with pytest.raises(RefusedError, match=r"speaks another protocol: JoinReply of schema 999.* run the same release"):
-        ask_to_join(sessions(), stop)
-
-
-def test_joining_can_be_stopped(sessions: Sessions, stop: threading.Event) -> None:
-    """None, where `stop` comes before a slot."""
-    session = sessions(connect_timeout_s=None)
-    told: list[str] = []
-
-    def once_told(reason: str) -> None:
-        told.append(reason)
-        stop.set()
-
-    found = join(session, run="", physics="native", versions={}, hardware={}, stop=stop, waiting=once_told)
-    assert found is None
-    assert told == ["no learner answers yet"]
 
 
 # -- pushing -----------------------------------------------------------------------------------------------
@@ -247,7 +125,7 @@ def test_what_is_of_no_use_any_more_is_not_taken(linked: Linked, stop: threading
 def test_an_actor_that_is_not_known_any_more_is_lost(linked: Linked, stop: threading.Event, reason: str) -> None:
     """It must join again."""
     _, link = linked(Script(PushReply("refused", reason).encode()))
-    with pytest.raises(Lost, match=reason[:20]):
+    with pytest.raises(AssignmentLost, match=reason[:20]):
         link.push(rollout(), stop)
 
 
@@ -276,7 +154,7 @@ def test_pushing_can_be_stopped(linked: Linked, stop: threading.Event) -> None:
 
 
 def test_an_evaluation_goes_the_same_way(linked: Linked, stop: threading.Event) -> None:
-    """ResumedReplay while the learner is busy, False where it is not wanted any more."""
+    """Sent again while the learner is busy, False where it is not wanted any more."""
     pushes = Script(
         PushReply("busy", "").encode(),
         ACCEPTED.encode(),
@@ -298,7 +176,7 @@ def test_a_learner_that_goes_while_it_is_asked(
         pushed = pool.submit(link.push, rollout(), stop)
         until(lambda: len(pushes.asked) == 1)
         learner.close()
-        with pytest.raises(Lost, match="the learner is gone"):
+        with pytest.raises(AssignmentLost, match="the learner is gone"):
             pushed.result(DEADLINE_S)
 
 
@@ -335,7 +213,7 @@ def test_a_rollout_whose_answer_was_lost_is_used_once(
         hub.open()
         member = ask_to_join(session, stop)
         assert member is not None
-        link = Link(session, member, push_timeout_s=0.3)
+        link = ActorLink(session, member, push_timeout_s=0.3)
         made = rollout(member.slot, member.incarnation)
         with ThreadPoolExecutor(1) as pool:
             pushed = pool.submit(link.push, made, stop)
@@ -386,14 +264,14 @@ def test_orders_are_heard_when_they_change(linked: Linked, until: Callable[..., 
 def test_a_snapshot_is_fetched(linked: Linked, until: Callable[..., None]) -> None:
     """Whole and checked by its digest; a damaged one, or none, means to begin anew."""
     learner, link = linked()
-    with pytest.raises(Lost, match="no policy from the learner: no answer"):
+    with pytest.raises(AssignmentLost, match="no policy from the learner: no answer"):
         link.snapshot()
     damaged = codec.encode(codec.decode(snapshot(1).encode()) | {"digest": "0"})
     script = Script(damaged, snapshot(3).encode())
     learner.serve(KEYS.policy_latest, script)
 
     def damage_is_found() -> bool:
-        with pytest.raises(Lost) as lost:
+        with pytest.raises(AssignmentLost) as lost:
             link.snapshot()
         return "says digest '0'" in str(lost.value)
 
@@ -408,7 +286,7 @@ def test_a_learner_that_is_gone_is_noticed(linked: Linked) -> None:
     with ThreadPoolExecutor(1) as pool:
         waiting = pool.submit(link.orders, newer_than=None, timeout_s=DEADLINE_S)
         learner.close()
-        with pytest.raises(Lost, match="the learner is gone"):
+        with pytest.raises(AssignmentLost, match="the learner is gone"):
             waiting.result(DEADLINE_S)
 
 
@@ -433,7 +311,7 @@ def test_a_learner_that_was_gone_for_a_moment_was_gone(sessions: Sessions, until
     heard = threading.Event()
     session.watch_alive(KEYS.alive("learner", "learner"), lambda key, there: alive.append(there))
     session.subscribe(KEYS.policy_notify, lambda key, data: heard.set())
-    link = Link(session, MEMBER, push_timeout_s=DEADLINE_S)
+    link = ActorLink(session, MEMBER, push_timeout_s=DEADLINE_S)
     learner.declare_alive(KEYS.alive("learner", "learner"))
     until(lambda: alive == [True])
     learner.close()
@@ -448,7 +326,7 @@ def test_a_learner_that_was_gone_for_a_moment_was_gone(sessions: Sessions, until
         return heard.is_set()
 
     until(orders_come_through)
-    with pytest.raises(Lost, match="the learner is gone"):
+    with pytest.raises(AssignmentLost, match="the learner is gone"):
         link.orders(newer_than=None, timeout_s=DEADLINE_S)
 
 
@@ -462,7 +340,7 @@ def test_an_actor_shows_that_it_is_alive(linked: Linked, until: Callable[..., No
     until(lambda: (KEYS.alive("actor", "a"), True) in tokens)
 
     def beaten() -> bool:
-        link.beat(heartbeat())
+        link.send_heartbeat(heartbeat())
         return heartbeat().encode() in beats
 
     until(beaten)
@@ -472,7 +350,7 @@ def test_a_closed_session_cannot_beat(sessions: Sessions) -> None:
     """The heartbeat's thread ends by it."""
     sessions(listen=True)
     session = sessions()
-    link = Link(session, MEMBER, push_timeout_s=1.0)
+    link = ActorLink(session, MEMBER, push_timeout_s=1.0)
     session.close()
     with pytest.raises(SessionError):
-        link.beat(heartbeat())
+        link.send_heartbeat(heartbeat())

@@ -1,4 +1,4 @@
-"""The evaluator's sign of life, in a file: an episode may take longer than such a file counts as new."""
+"""Refreshes the evaluator's state file while it plays: its episodes may outlast the age at which the file is stale."""
 
 from __future__ import annotations
 
@@ -6,28 +6,28 @@ import threading
 from types import TracebackType
 from typing import Self
 
-from services.worker.state_file import OLD_S, Keep
+from services.worker.state_file import OLD_S, WriteState
 
 PERIOD_S = OLD_S / 5
 
 
-class Pulse:
-    """Writes what the evaluator does whenever that changes, and again and again from a thread of its own."""
+class StateRefresher:
+    """Writes the evaluator's state whenever it changes, and periodically from its own thread."""
 
-    def __init__(self, keep: Keep) -> None:
-        self._keep = keep
+    def __init__(self, write: WriteState) -> None:
+        self._write = write
         self._lock = threading.Lock()
         self._state = "starting"
         self._version = -1
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="pulse", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="state-refresher", daemon=True)
 
-    def tell(self, state: str, version: int | None = None) -> None:
-        """What is done from now on; with no version, with the policy that it had before."""
+    def set(self, state: str, version: int | None = None) -> None:
+        """Set and write the state, and the version of the policy held unless that is unchanged (None)."""
         with self._lock:
             self._state = state
             self._version = self._version if version is None else version
-            self._keep(self._state, self._version)
+            self._write(self._state, self._version)
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -42,4 +42,4 @@ class Pulse:
     def _run(self) -> None:
         while not self._ended.wait(PERIOD_S):
             with self._lock:
-                self._keep(self._state, self._version)
+                self._write(self._state, self._version)
