@@ -106,6 +106,7 @@ _UPDATE = _object(
         mean=_number("mean over the rollouts used"),
         max=_number("greatest over the rollouts used"),
     ),
+    progress=_numbers("figures shown with the update: return, step_reward and steps_per_s; null where not known"),
 )
 
 _EPISODE = _object(

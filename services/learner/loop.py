@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 
 from common.config.settings import RunSettings
@@ -15,7 +15,7 @@ from common.log.records import encode_json
 from common.wire.messages import Evaluation, Rollout
 from common.wire.report import Progress
 from services.learner.endpoints.hub import Hub
-from services.learner.reporting.evaluations import scalars as evaluation_scalars
+from services.learner.reporting.curves import points_of_evaluation, points_of_update
 from services.learner.reporting.outlets import Outlets
 from services.learner.reporting.public import public_update
 from services.learner.reporting.statistics import Episodes, step_reward
@@ -141,7 +141,8 @@ class TrainingLoop:
     def draw_evaluations(self) -> None:
         """Add what evaluators have sent to the curves."""
         for record in self._hub.evaluators.fresh():
-            self._outlets.scalars.add(record["env_steps"], evaluation_scalars(record))
+            self._outlets.scalars.add(record["env_steps"], points_of_evaluation(record))
+            self._outlets.scalars.flush()
 
     # -- the loop ------------------------------------------------------------------------------------------
 
@@ -174,7 +175,8 @@ class TrainingLoop:
                 "record": time.monotonic() - published_s,
                 "log": self._log_seconds(),
             }
-            yield AppliedUpdate(version, self.env_steps, self._digest, rollouts, metrics, seconds, logged)
+            progress = self._progress_with(version, rollouts)
+            yield AppliedUpdate(version, self.env_steps, self._digest, rollouts, metrics, seconds, progress)
 
     def _keep(self, version: int, snapshot: bytes, environments: KeptEnvironments | None) -> None:
         """Keep the policy, a checkpoint, and the environments that the checkpoint of the version before needs."""
@@ -229,29 +231,32 @@ class TrainingLoop:
     # -- what is made of an update -------------------------------------------------------------------------
 
     def _record(self, update: AppliedUpdate) -> None:
-        episodes = Episodes.of(update.rollouts)
-        self._returns.add(update.version, episodes)
         self._physics |= self._hub.engines()
         self._centres = round(update.metrics.get("rkhs/centres", 0))
         self._staleness = update.staleness["mean"]
-        self._step_reward = step_reward(update.rollouts)
-        if not update.logged:
-            self._write(update, episodes)
+        if not self._resumed_replay.covers(update.version - 1):
+            self._write(update)
         self._show("training", "")
 
-    def _write(self, update: AppliedUpdate, episodes: Episodes) -> None:
-        ended = episodes.record(update.version)
+    def _write(self, update: AppliedUpdate) -> None:
+        ended = Episodes.of(update.rollouts).record(update.version)
         if ended is not None and not self._resumed_replay.holds("/episode", update.version):
             self._outlets.log.write("/episode", ended)
         record = update.record()
         self._outlets.log.write("/update", record)
         self._hub.publish_metrics(encode_json(public_update(record)))
-        figures = {
-            "run/steps_per_s": self.steps_per_s,
-            "run/return": self._returns.newest,
-            "run/step_reward": self._step_reward,
+        self._outlets.scalars.add(update.env_steps, points_of_update(record))
+        self._outlets.scalars.flush()
+
+    def _progress_with(self, version: int, rollouts: Sequence[Rollout]) -> dict[str, float | None]:
+        """Take in the episodes and rewards of an update; returns the figures that are shown with it."""
+        self._returns.add(version, Episodes.of(rollouts))
+        self._step_reward = step_reward(rollouts)
+        return {
+            "return": self._returns.newest,
+            "step_reward": self._step_reward,
+            "steps_per_s": self.steps_per_s,
         }
-        self._outlets.scalars.add(update.env_steps, update.scalars() | figures)
 
     def _show(self, phase: str, text: str) -> None:
         progress = Progress(

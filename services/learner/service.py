@@ -19,7 +19,7 @@ from common.wire.session import Session
 from services.learner.endpoints.hub import Hub
 from services.learner.endpoints.listening import open_listener
 from services.learner.loop import TrainingLoop
-from services.learner.reporting.evaluations import scalars as evaluation_scalars
+from services.learner.reporting.curves import points_of_evaluation, restore_points
 from services.learner.reporting.outlets import Outlets, open_outlets
 from services.learner.reporting.summary import conclude, describe, final_record, summarise
 from services.learner.resume.plan import Resumption, plan_resumption
@@ -46,6 +46,7 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
         # Only now: an address that is in use leaves no directory behind that looks like a run.
         run_dir, resumption = _begin(settings, resume=resume)
         outlets = stack.enter_context(open_outlets(resumption.run, settings, run_dir, stop))
+        restore_points(outlets.scalars, run_dir)
         for note in resumption.notes:
             outlets.events.add("info", "resumed", note)
         hub = _make_hub(settings, session, outlets, resumption)
@@ -94,7 +95,7 @@ def _run_to_its_end(
             # Before the actors are dismissed: a learner that is killed while it concludes needs them when resumed.
             logged = evaluation is None or replay.holds("/eval", evaluation.version)
             record = None if evaluation is None else final_record(evaluation, loop.env_steps)
-            outlets.scalars.add(loop.env_steps, {} if record is None else evaluation_scalars(record))
+            outlets.scalars.add(loop.env_steps, {} if record is None else points_of_evaluation(record))
             conclude(run_dir, outlets.log, summary, None if logged else record)
             loop.draw_evaluations()
     except ReskpnError as error:

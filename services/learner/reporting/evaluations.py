@@ -51,9 +51,3 @@ def trajectory_record(assessment: Assessment) -> dict[str, Any]:
     rows = np.round(assessment.qpos.astype(np.float64), 6).tolist()
     steps = [{"time_s": round(t * assessment.step_s, 6), "qpos": row} for t, row in enumerate(rows)]
     return {"version": assessment.version, "source": source_of(assessment.evaluator), "steps": steps}
-
-
-def scalars(record: Mapping[str, Any]) -> dict[str, float]:
-    """The curves that an `/eval` message adds a point to."""
-    names = ("return_mean", "return_std", "length_mean")
-    return {f"eval/{name.removesuffix('_mean')}": record[name] for name in names}

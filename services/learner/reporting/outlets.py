@@ -16,6 +16,7 @@ from common.log.writer import LogWriter
 from common.physics.assets import model_xml
 from common.runs.directory import TENSORBOARD
 from common.runtime import hardware, software_versions, source_commit
+from services.learner.reporting.curves import EVAL_RETURN, RETURN, comparable_settings
 from services.learner.reporting.display import Display, make_display
 from services.learner.reporting.scalars import Scalars
 
@@ -64,6 +65,7 @@ def open_outlets(run: str, settings: RunSettings, run_dir: Path, stop: threading
         stack.callback(display.close)
         events = Events(log, display)
         scalars = Scalars(run_dir / TENSORBOARD, lambda text: events.add("warning", "curves_ended", text))
+        scalars.add_settings(comparable_settings(settings), [RETURN, EVAL_RETURN])
         stack.callback(scalars.close)
         yield Outlets(log, display, events, scalars, failures)
 

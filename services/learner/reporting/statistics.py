@@ -1,4 +1,4 @@
-"""What a run is judged by: episodes, speed, and where the time of an update goes."""
+"""The figures a run is judged by: returns of episodes, rewards, and the seconds of an update."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from common.wire.messages import Rollout
 
 RECENT_EPISODES = 200
+"""Episodes that the shown return is a mean of, at least, once so many have ended."""
 
 
 @dataclass(frozen=True)
@@ -41,33 +42,53 @@ class Episodes:
         }
 
 
+@dataclass(frozen=True)
+class _Ended:
+    """The episodes that ended in one update: how many, and their mean return."""
+
+    count: int
+    mean: float
+
+
 @dataclass
 class TrainingReturn:
-    """Mean return of training episodes: of the newest, and over the last tenth of the run's updates."""
+    """Mean return of training episodes: of the newest, and over the last tenth of the run's updates.
+
+    Episodes are kept as the count and mean of each update, which is what the log has of them: so a resumed run shows
+    the figures that it would have shown without the interruption.
+    """
 
     updates: int
-    recent: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT_EPISODES))
+    recent: deque[_Ended] = field(default_factory=deque)
     late_sum: float = 0.0
     late_count: int = 0
     episodes: int = 0
 
     def add(self, version: int, episodes: Episodes) -> None:
-        self.recent.extend(episodes.returns.tolist())
-        self.episodes += len(episodes.returns)
-        if version > self.updates - max(1, self.updates // 10):
-            self.late_sum += float(episodes.returns.sum())
-            self.late_count += len(episodes.returns)
+        """Take in the episodes that ended in the update to that version."""
+        record = episodes.record(version)
+        if record is not None:
+            self.recall(record)
 
     def recall(self, record: Mapping[str, float]) -> None:
-        """Take in an `/episode` record of the log instead, each episode with the mean of them all."""
-        count = int(record["count"])
-        mean = np.full(count, record["return_mean"], np.float32)
-        self.add(int(record["version"]), Episodes(mean, np.ones(count, np.int32)))
+        """Take in an `/episode` record."""
+        ended = _Ended(int(record["count"]), float(record["return_mean"]))
+        self.recent.append(ended)
+        # Whole updates only. Within an update episodes come slot by slot, each slot's in the order in which they
+        # ended, so the last 200 of them would be those of the last slot that took longest.
+        while sum(kept.count for kept in self.recent) - self.recent[0].count >= RECENT_EPISODES:
+            self.recent.popleft()
+        self.episodes += ended.count
+        if record["version"] > self.updates - max(1, self.updates // 10):
+            self.late_sum += ended.count * ended.mean
+            self.late_count += ended.count
 
     @property
     def newest(self) -> float | None:
-        """Mean of the newest episodes (at most 200); None before the first has ended."""
-        return sum(self.recent) / len(self.recent) if self.recent else None
+        """Mean of the newest updates' episodes, as many updates as have 200; None before the first has ended."""
+        if not self.recent:
+            return None
+        return sum(ended.count * ended.mean for ended in self.recent) / sum(ended.count for ended in self.recent)
 
     @property
     def late(self) -> float | None:

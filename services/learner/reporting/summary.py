@@ -58,6 +58,7 @@ def summarise(
 ) -> dict[str, Any]:
     """The run in one JSON object; evaluation figures are null where none took place."""
     returns = None if evaluation is None else evaluation.episode_return
+    train_return, train_return_over = _train_return(outcome.returns)
     return {
         "run": run,
         "task": settings.task,
@@ -69,7 +70,8 @@ def summarise(
         "updates": outcome.env_steps // settings.batch_size,
         "wall_s": round(wall_s, 3),
         "env_steps_per_s": outcome.steps_per_s,
-        "train_return_mean": outcome.returns.late,
+        "train_return_mean": train_return,
+        "train_return_over": train_return_over,
         "train_episodes": outcome.returns.episodes,
         "eval_return_mean": None if returns is None else float(returns.mean()),
         "eval_return_std": None if returns is None else float(returns.std()),
@@ -80,9 +82,17 @@ def summarise(
     }
 
 
+def _train_return(returns: TrainingReturn) -> tuple[float | None, str | None]:
+    """The mean training return and what it is over; where no episode ended at the run's end, as shown during it."""
+    if returns.late is not None:
+        return returns.late, "last tenth"
+    return returns.newest, None if returns.newest is None else "newest episodes"
+
+
 def describe(summary: dict[str, Any], run_dir: Path) -> Iterator[str]:
     """The summary for a person."""
-    state = "finished" if summary["complete"] else "stopped early; the log is whole up to here"
+    stopped = f"stopped early; the log is complete up to here. Go on with: reskpn train --resume {run_dir}"
+    state = "finished" if summary["complete"] else stopped
     speed = summary["env_steps_per_s"]
     yield f"{summary['run']}: {state}"
     yield (
@@ -90,7 +100,7 @@ def describe(summary: dict[str, Any], run_dir: Path) -> Iterator[str]:
         + (f", {speed:,.0f} steps/s while training" if speed else "")
     )
     if summary["train_return_mean"] is not None:
-        yield f"  training return over the last tenth: {summary['train_return_mean']:,.1f}"
+        yield f"  training return over the {summary['train_return_over']}: {summary['train_return_mean']:,.1f}"
     if summary["eval_episodes"]:
         yield (
             f"  evaluation: {summary['eval_return_mean']:,.1f} ± {summary['eval_return_std']:,.1f} "

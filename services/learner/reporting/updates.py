@@ -18,7 +18,7 @@ class AppliedUpdate:
         version: the version it led to; env_steps: environment steps up to there.
         digest: of the state it led to.
         loop_seconds: the learner's seconds by phase; "log" ran beside the others.
-        logged: whether a resumed run's log has the update already.
+        progress: the shown figures at this update: "return", "step_reward" and "steps_per_s"; None where unknown.
     """
 
     version: int
@@ -27,7 +27,7 @@ class AppliedUpdate:
     rollouts: Sequence[Rollout]
     metrics: Mapping[str, float]
     loop_seconds: Mapping[str, float]
-    logged: bool
+    progress: Mapping[str, float | None]
 
     @property
     def staleness(self) -> dict[str, float]:
@@ -60,10 +60,5 @@ class AppliedUpdate:
             "metrics": dict(self.metrics),
             "seconds": self.seconds,
             "staleness": self.staleness,
+            "progress": dict(self.progress),
         }
-
-    def scalars(self) -> dict[str, float]:
-        """The points that the update adds to the curves."""
-        seconds = {f"seconds/{name}": value for name, value in self.seconds.items()}
-        staleness = {f"staleness/{name}": value for name, value in self.staleness.items()}
-        return {**self.metrics, **seconds, **staleness}

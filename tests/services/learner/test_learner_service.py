@@ -52,6 +52,7 @@ def test_the_summary_of_a_run(tmp_path: Path) -> None:
         "wall_s": 2.0,
         "env_steps_per_s": 60.0,
         "train_return_mean": 8.0,
+        "train_return_over": "last tenth",
         "train_episodes": 3,
         "eval_return_mean": 20.0,
         "eval_return_std": 10.0,
@@ -71,6 +72,15 @@ def test_the_summary_of_a_run_that_was_stopped_at_once(tmp_path: Path) -> None:
     assert (summary["eval_episodes"], summary["updates"], summary["physics"]) == (0, 0, "native")
     mixed = summarise(settings(), tmp_path, "run-1", finished_run(physics=frozenset({"native", "mjx"})), None, 1.0)
     assert mixed["physics"] == "mjx+native"
+
+
+def test_the_summary_has_the_return_that_was_shown(tmp_path: Path) -> None:
+    """Where no episode ended in the last tenth of the updates, it is the one that the screen showed last."""
+    returns = TrainingReturn(10)
+    returns.recall({"version": 2, "count": 3, "return_mean": 1000.0})
+    summary = summarise(settings(), tmp_path, "run-1", finished_run(returns=returns), None, 1.0)
+    assert (summary["train_return_mean"], summary["train_return_over"]) == (1000.0, "newest episodes")
+    assert "  training return over the newest episodes: 1,000.0" in list(describe(summary, tmp_path))
 
 
 def test_what_says_that_a_run_is_over(tmp_path: Path) -> None:
@@ -109,11 +119,14 @@ def test_the_summary_for_a_person(tmp_path: Path) -> None:
 
 
 def test_the_summary_of_a_stopped_run_for_a_person(tmp_path: Path) -> None:
-    """Says so, and that the log is whole; without figures that there are not."""
+    """Says so, that the log is complete, and which command goes on; without figures that there are not."""
     early = finished_run(complete=False, env_steps=0, steps_per_s=None, returns=TrainingReturn(10))
     summary = summarise(settings(), tmp_path, "run-1", early, None, 1.0)
     lines = list(describe(summary, tmp_path))
-    assert lines[:2] == ["run-1: stopped early; the log is whole up to here", "  0 steps in 0 updates, 1 s in all"]
+    assert lines[:2] == [
+        "run-1: stopped early; the log is complete up to here. Go on with: reskpn train --resume " + str(tmp_path),
+        "  0 steps in 0 updates, 1 s in all",
+    ]
     assert len(lines) == 4
 
 

@@ -15,7 +15,8 @@ from common.log.reader import LogReader
 from common.wire.assessment import Assessment
 from common.wire.messages import PushReply
 from services.learner.endpoints import evaluators as evaluators_module
-from services.learner.reporting.evaluations import is_of_the_run, scalars
+from services.learner.reporting.curves import points_of_evaluation
+from services.learner.reporting.evaluations import is_of_the_run
 
 
 def assessment(name: str = "e", version: int = 0, **changes: Any) -> Assessment:
@@ -75,7 +76,12 @@ def test_what_it_brings_is_logged(learners: Callable[..., Learner], evaluator: C
     assert logged(learner, "/trajectory") == [{"version": 3, "source": "evaluator-e", "steps": steps}]
     assert learner.hub.evaluators.fresh() == [expected]
     assert learner.hub.evaluators.fresh() == []
-    assert scalars(expected) == {"eval/return": 20.0, "eval/return_std": 10.0, "eval/length": 6.0}
+    assert points_of_evaluation(expected) == {
+        "eval/return": 20.0,
+        "eval/return_std": 10.0,
+        "eval/length": 6.0,
+        "charts/eval_return": 20.0,
+    }
 
 
 def test_it_is_acknowledged_once_it_is_in_the_log(

@@ -42,6 +42,52 @@ def test_numbers_by_environment_step(tmp_path: Path) -> None:
     ]
 
 
+def test_a_curve_never_goes_back(tmp_path: Path) -> None:
+    """One point a step: what a second evaluator or a resumed run brings once more, or brings late, is left out.
+
+    Curves are counted one by one, and go on where those of the folder's former files end, also of a torn one.
+    """
+    folder = tmp_path / "tensorboard"
+    with_two = Scalars(folder)
+    for step, value in ((0, 1.0), (30, 2.0), (30, 3.0), (20, 4.0)):
+        with_two.add(step, {"eval/return": value})
+    with_two.close()
+    (path,) = folder.iterdir()
+    assert events(folder) == [("eval/return", 1.0, 0), ("eval/return", 2.0, 30)]
+    torn = path.with_name("events.out.tfevents.0.torn")
+    path.rename(torn)
+    with torn.open("ab") as file:
+        file.write(b"\x30\0\0\0\0\0\0\0 and no more")
+    resumed = Scalars(folder)
+    assert (resumed.reached("eval/return"), resumed.reached("run/return")) == (30, -1)
+    resumed.add(30, {"eval/return": 5.0, "run/return": 6.0})
+    resumed.add(40, {"eval/return": 7.0})
+    resumed.close()
+    torn.rename(tmp_path / "aside")
+    assert events(folder) == [("run/return", 6.0, 30), ("eval/return", 7.0, 40)]
+
+
+def test_points_can_be_looked_at_at_once(tmp_path: Path) -> None:
+    """After a flush they are in the file, while it is open."""
+    scalars = Scalars(tmp_path)
+    scalars.add(100, {"loss/value": 0.5})
+    scalars.flush()
+    assert events(tmp_path) == [("loss/value", 0.5, 100)]
+    scalars.close()
+    scalars.flush()
+
+
+def test_settings_for_the_comparison_of_runs(tmp_path: Path) -> None:
+    """TensorBoard's HPARAMS tab gets them by name, with the curves that runs are compared by."""
+    scalars = Scalars(tmp_path)
+    scalars.add_settings({"algorithm.learning_rate": 0.5, "task": "hopper", "slot_wait_s": None}, ["charts/return"])
+    scalars.close()
+    (path,) = tmp_path.iterdir()
+    content = path.read_bytes()
+    assert [name in content for name in (b"algorithm.learning_rate", b"hopper", b"slot_wait_s")] == [True, True, False]
+    assert content.count(b"charts/return") == 1
+
+
 def test_a_full_disk_ends_the_curves_and_not_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Said once, when what was held back does not fit; what comes after it goes nowhere, and nothing waits."""
     full = open(FULL, "wb")  # noqa: SIM115  (closed by what it is given to)

@@ -42,8 +42,8 @@ def test_without_an_episode_there_is_no_record() -> None:
     assert Episodes.of([rollout(), rollout(1, "b")]).record(1) is None
 
 
-def test_the_newest_return_is_a_mean_over_at_most_200_episodes() -> None:
-    """None before the first episode has ended; older ones drop out."""
+def test_the_newest_return_is_a_mean_over_200_episodes() -> None:
+    """None before the first episode has ended; older ones drop out once newer updates have 200."""
     result = TrainingReturn(updates=10)
     assert result.newest is None
     result.add(1, episodes(1.0, 3.0))
@@ -51,6 +51,32 @@ def test_the_newest_return_is_a_mean_over_at_most_200_episodes() -> None:
     result.add(2, episodes(*[7.0] * RECENT_EPISODES))
     assert result.newest == 7.0
     assert result.episodes == 202
+
+
+def test_the_newest_return_is_of_all_episodes_of_an_update() -> None:
+    """Where more than 200 ended in one update, all of them count, so that the order of slots and steps does not.
+
+    1,600 episodes of return 10 from the first slot, then 400 of return 63 from the second:
+    (1,600 * 10 + 400 * 63) / 2,000 = 20.6; the last 200 alone would show 63. The next update's 100 episodes are fewer
+    than 200, so the 2,000 before them still count: (2,000 * 20.6 + 100 * 41.6) / 2,100 = 21.6.
+    """
+    result = TrainingReturn(updates=10)
+    result.add(1, episodes(*[10.0] * 1600, *[63.0] * 400))
+    assert result.newest == pytest.approx(20.6)
+    result.add(2, episodes(*[41.6] * 100))
+    assert result.newest == pytest.approx(21.6)
+
+
+def test_a_resumed_run_shows_the_return_of_the_run_that_went_on() -> None:
+    """Live from the episodes, resumed from the log's records of them: the same figures, to the bit."""
+    live, resumed = TrainingReturn(updates=10), TrainingReturn(updates=10)
+    draw = np.random.default_rng(0)
+    for version, count in enumerate((7, 0, 450, 30, 120, 90), start=5):
+        ended = Episodes(draw.normal(50.0, 30.0, count).astype(np.float32), np.ones(count, np.int32))
+        live.add(version, ended)
+        if (record := ended.record(version)) is not None:
+            resumed.recall(record)
+        assert (resumed.newest, resumed.late, resumed.episodes) == (live.newest, live.late, live.episodes)
 
 
 @pytest.mark.parametrize(
