@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.machine import describe, machine
 from benchmarks.processes import run_json
-from common.config.settings import PHYSICS
+from common.engine_names import PHYSICS
 from common.errors import ReskpnError, SettingsError
 
 IMPLEMENTATIONS = ("own", "reference")

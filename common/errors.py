@@ -1,18 +1,18 @@
-"""The errors a person can meet, as one tree.
+"""The errors that a user can meet, as one tree.
 
     ReskpnError
-    ├── SettingsError      a setting is not possible (exit code 2)
+    ├── SettingsError      a setting that is not possible (exit code 2)
     ├── WireError
-    │   ├── CodecError     bytes that are not a valid message; `.reason` is a short slug to count by
+    │   ├── CodecError     bytes that are not a valid message; `.reason` is the slug it is counted by
     │   ├── SessionError   no Zenoh session: port in use, peer unreachable, refused (exit code 3)
-    │   └── RefusedError   the other side said no, and why (exit code 4)
+    │   └── RefusedError   the other side refused, with its reason (exit code 4)
     ├── LogError
     │   ├── LogWriteError  the log cannot be written: disk full, no permission (exit code 5)
-    │   └── LogReadError   a log that is absent, foreign or damaged (exit code 5)
-    ├── CheckpointError    a checkpoint that is absent, damaged or of another run (exit code 5)
-    ├── PhysicsError       an engine that is missing or a simulation that failed (exit code 6)
+    │   └── LogReadError   a log that is missing, foreign or damaged (exit code 5)
+    ├── CheckpointError    a checkpoint that is missing, damaged or of another run (exit code 5)
+    ├── PhysicsError       an engine that is missing, or a simulation that failed (exit code 6)
     ├── NumericsError      a quantity of the update is not finite (exit code 7)
-    └── ProcessError       a process of the run ended that should not have (exit code 8)
+    └── ProcessError       a process of the run ended although it should not (exit code 8)
 
 Each message says what was given, what is allowed and what to do. The command line prints the message
 alone, without a traceback, and exits with the class's `exit_code`.
@@ -25,7 +25,7 @@ INTERRUPTED = 130
 
 
 class ReskpnError(Exception):
-    """Root of the tree: everything this package raises on purpose."""
+    """Root of the tree: everything that this package raises on purpose."""
 
     exit_code = 1
 
@@ -41,7 +41,7 @@ class WireError(ReskpnError):
 class CodecError(WireError):
     """Bytes that are not a valid message.
 
-    `reason` is one lower-case slug out of a small set ("too_large", "bad_shape", ...): refusals are counted by it.
+    `reason` is one lower-case slug out of a small set ("too_large", "bad_shape", ...): by which refusals are counted.
     """
 
     def __init__(self, reason: str, message: str) -> None:

@@ -5,8 +5,6 @@ Sizes are those of `brax.envs` (checked against it by a test), so that the learn
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -35,12 +33,3 @@ TASKS: dict[str, Task] = {
 
 EPISODE_LENGTH = 1000
 """Steps after which an episode is truncated (paper, section B.3)."""
-
-
-def unknown_name(kind: str, given: str, allowed: Iterable[str]) -> str:
-    """The sentence for a name that is not in a table, with the nearest one that is."""
-    names = list(allowed)
-    by_lower = {name.lower(): name for name in names}
-    near = [by_lower[name] for name in difflib.get_close_matches(given.lower(), by_lower, n=1, cutoff=0.5)]
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    return f"{given!r} is not a {kind}; {hint}allowed: {', '.join(names)}"

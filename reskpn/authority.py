@@ -1,7 +1,7 @@
-"""A certificate authority for the processes of one run: who it vouches for is let in, whoever else asks.
+"""A certificate authority for the processes of one run: only processes with its certificates are let in.
 
-Keys are on the curve P-256. A learner's certificate is good for a server and for a client, which its health check is;
-all others for clients alone, so that nobody can pass for the learner with them.
+Keys are on the curve P-256. A learner's certificate is valid for a server and for a client (its health check is one);
+all others are valid for clients alone, so that they cannot be used to impersonate the learner.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from common.wire.access import LEARNER
 from common.wire.credentials import CA, CERTIFICATE, KEY
 
 AUTHORITY = "authority"
-"""The folder of the authority itself; its key makes certificates, and no process needs it."""
+"""The folder of the authority itself; its key signs certificates, and no process of a run needs it."""
 
 AUTHORITY_KEY = "ca.key"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
@@ -33,12 +33,12 @@ _HOST = re.compile(
     r"(?=.{1,253}$)[A-Za-z0-9_]([A-Za-z0-9_-]*[A-Za-z0-9])?(\.[A-Za-z0-9_]([A-Za-z0-9_-]*[A-Za-z0-9])?)*"
 )
 _CLOCKS_DIFFER = timedelta(hours=1)
-"""By how much another machine's clock may be behind."""
+"""Time that another machine's clock may be behind."""
 
 
 @dataclass(frozen=True)
 class Authority:
-    """The authority of the folder `out`, which also has a folder for each name that it vouches for."""
+    """The authority in the folder `out`, which also has a folder for each certificate."""
 
     out: Path
     certificate: x509.Certificate
@@ -46,10 +46,10 @@ class Authority:
 
     @classmethod
     def new(cls, out: Path, days: int) -> Self:
-        """SettingsError where `out` has one already, or cannot be written."""
+        """Make an authority; SettingsError if `out` has one already, or cannot be written."""
         _refuse_existing(out / AUTHORITY)
         key = ec.generate_private_key(ec.SECP256R1())
-        # A name of its own, so that a process that meets another run's can say that it does not know it.
+        # A unique name, so that a certificate of another run is reported as one of an unknown authority.
         name = _named(f"ReskPN {os.urandom(4).hex()}")
         builder = (
             _builder(name, name, key, days)
@@ -63,7 +63,7 @@ class Authority:
 
     @classmethod
     def load(cls, out: Path) -> Self:
-        """SettingsError where `out` has none."""
+        """Read the authority in `out`; SettingsError if there is none."""
         folder = out / AUTHORITY
         try:
             certificate = x509.load_pem_x509_certificate((folder / CA).read_bytes())
@@ -78,11 +78,11 @@ class Authority:
             raise SettingsError(f"{folder} does not hold an authority that `reskpn certs --out` made")
         return cls(out, certificate, key)
 
-    def vouch(self, name: str, days: int, hosts: Sequence[str] = ()) -> Path:
-        """Make the folder of a name; `hosts` are where it can be reached, for a learner. Returns the folder.
+    def issue(self, name: str, days: int, hosts: Sequence[str] = ()) -> Path:
+        """Make the folder with the certificate of a name, and return it; `hosts` are a learner's names and addresses.
 
         Raises:
-            SettingsError: the name or a host is not possible, or there is such a folder already.
+            SettingsError: the name or a host is not possible, or the folder exists.
         """
         if not NAME.fullmatch(name) or name == AUTHORITY:
             raise SettingsError(
@@ -110,18 +110,18 @@ class Authority:
 
 
 def make_all(out: Path, hosts: Sequence[str], days: int) -> list[Path]:
-    """A new authority with a learner, an actor and a viewer; returns the folders. SettingsError as `vouch`.
+    """Make a new authority with a learner, an actor and a viewer; returns the folders. SettingsError as `issue`.
 
-    Nothing is made where something cannot be.
+    Nothing is made if anything is refused.
     """
     for host in hosts:
         _address(host)
     for name in (AUTHORITY, LEARNER, "actor", "viewer"):
         _refuse_existing(out / name)
     authority = Authority.new(out, days)
-    # Whoever runs on the learner's own machine may use loopback.
+    # Processes on the learner's own machine may use loopback.
     own = list(dict.fromkeys([*hosts, "localhost", "127.0.0.1", "::1"]))
-    return [authority.vouch(LEARNER, days, own), authority.vouch("actor", days), authority.vouch("viewer", days)]
+    return [authority.issue(LEARNER, days, own), authority.issue("actor", days), authority.issue("viewer", days)]
 
 
 def _address(host: str) -> x509.GeneralName:
@@ -179,11 +179,11 @@ def _secret(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 def _refuse_existing(folder: Path) -> None:
     if folder.exists():
-        raise SettingsError(f"{folder} is there already, and is not overwritten: give another --out, or move it away")
+        raise SettingsError(f"{folder} exists and is not overwritten: give another --out, or move it away")
 
 
 def _write(folder: Path, files: dict[str, bytes]) -> None:
-    """Certificates for everyone, keys for the owner alone from the moment they exist."""
+    """Write files: certificates readable by all, keys by their owner alone from the moment they exist."""
     try:
         folder.mkdir(parents=True, mode=0o755)
         for name, data in files.items():

@@ -1,6 +1,6 @@
-"""`python -m reskpn.health learner | router | actor | evaluator`: whether that service of this machine does its work.
+"""`python -m reskpn.health learner | router | actor | evaluator`: whether that service on this machine is working.
 
-Run every few seconds beside the service, so it is no part of `reskpn`, whose settings alone take a second to load.
+It runs every few seconds beside the service, so it loads little: no settings, no JAX.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from common.wire.session import Session
 
 NO_RUN = "health-check"
-"""The run that is asked for: none is called so, and a question for another run leaves no trace at the learner."""
+"""The run that is asked for. No run has this name, and a request for another run leaves no trace at the learner."""
 
 MESSAGE_BYTES = 4 << 20
 RETRY_S = 0.05
@@ -31,30 +31,37 @@ RETRY_S = 0.05
 
 @dataclass(frozen=True)
 class Health:
-    """Whether all is well, and a sentence on it."""
+    """The state of a service, and a sentence that describes it."""
 
     good: bool
     text: str
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print how the service is; returns 0 where it does its work, 1 where not, 2 for a file that is not an actor's."""
+    """Print the state of the service; returns 0 if it is working, 1 if not, 2 for a file that is not an actor's."""
     parser = argparse.ArgumentParser(
         prog="python -m reskpn.health",
-        description="Say whether a learner answers those who want to join, a router lets in those who have their "
+        description="Check whether a learner answers requests to join, a router accepts connections with valid "
         "certificates, or an actor or evaluator has a policy.",
-        epilog="exit codes: 0 it is so, 1 it is not, 2 what was given is not possible",
+        epilog="exit codes: 0 working, 1 not working, 2 an option is not possible",
     )
     services = parser.add_subparsers(dest="service", required=True)
     for name in ("learner", "router"):
         add = services.add_parser(name).add_argument
         add("--endpoint", default="tcp/127.0.0.1:7447", metavar="ADDRESS", help="default: %(default)s")
-        add("--timeout", type=float, default=5.0, metavar="S", help="how long to wait (%(default)s)")
-        add("--certificates", type=Path, metavar="DIR", help="those of the learner, or of an actor")
-        add("--users", type=Path, metavar="FILE", help=f"with a user:password that the {name} lets in")
+        add("--timeout", type=float, default=5.0, metavar="S", help="seconds to wait for an answer (%(default)s)")
+        add(
+            "--certificates",
+            type=Path,
+            metavar="DIR",
+            help="directory with the learner's or an actor's certificate",
+        )
+        add("--users", type=Path, metavar="FILE", help=f"file with a line user:password that the {name} accepts")
     for name in ("actor", "evaluator"):
         follower = services.add_parser(name)
-        follower.add_argument("--state-file", type=Path, required=True, metavar="FILE", help="as it was given to it")
+        follower.add_argument(
+            "--state-file", type=Path, required=True, metavar="FILE", help="the service's own --state-file"
+        )
     given = parser.parse_args(arguments)
     try:
         if given.service in ("learner", "router"):
@@ -70,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def learner_health(endpoint: str, timeout_s: float, credentials: Credentials = NOBODY) -> Health:
-    """Whether the learner at the endpoint answers those who want to join, asked as an actor asks."""
+    """Ask the learner at the endpoint to join, as an actor does, and see whether it answers."""
     from common.wire.session import open_session
 
     deadline = time.monotonic() + timeout_s
@@ -88,7 +95,7 @@ def learner_health(endpoint: str, timeout_s: float, credentials: Credentials = N
 
 
 def router_health(endpoint: str, timeout_s: float, credentials: Credentials = NOBODY) -> Health:
-    """Whether the router at the endpoint lets in who has these credentials. There need be no learner behind it."""
+    """Connect to the router at the endpoint with these credentials. No learner is needed behind it."""
     from common.wire.session import open_session
 
     try:
@@ -99,13 +106,13 @@ def router_health(endpoint: str, timeout_s: float, credentials: Credentials = NO
             credentials=credentials,
             router=True,
         ):
-            return Health(True, f"the router at {endpoint} lets in who has credentials")
+            return Health(True, f"the router at {endpoint} accepts connections")
     except ReskpnError as error:
-        return Health(False, f"the router lets nobody in: {error}")
+        return Health(False, f"the router accepts no connection: {error}")
 
 
 def follower_health(service: str, state_file: Path) -> Health:
-    """Whether the actor or evaluator that keeps this file has a policy, or stands by for a slot.
+    """Read from its state file whether an actor or evaluator has a policy, or stands by for a slot.
 
     Raises:
         SettingsError: the file is not one that such a service keeps.
@@ -115,7 +122,7 @@ def follower_health(service: str, state_file: Path) -> Health:
         return Health(False, f"no {service} has written {state_file} yet")
     age_s = time.time() - found.time_s
     if age_s > OLD_S:
-        return Health(False, f"the {service} gave its last sign of life {age_s:.0f} s ago ({found.state})")
+        return Health(False, f"the {service} last reported {age_s:.0f} s ago ({found.state})")
     if found.state == "standing by":
         return Health(True, f"the {service} stands by: all slots are taken")
     if found.version < 0:
@@ -124,7 +131,7 @@ def follower_health(service: str, state_file: Path) -> Health:
 
 
 def _ask(session: Session, deadline: float) -> JoinReply:
-    """The answer to a join. Asked again while nobody serves it: what a peer serves is known shortly after it is."""
+    """The answer to a join. Repeated, since a peer's endpoints become known shortly after connecting."""
     from common.wire.keys import JOIN
     from common.wire.messages import Join, JoinReply
 

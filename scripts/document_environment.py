@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 from pydantic.fields import FieldInfo
 
+from common.config.faults import PREFIX
+from common.config.kinds import written
 from common.config.settings import RunSettings, Section
-from common.config.sources import PREFIX
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / ".env.example"
@@ -104,17 +103,8 @@ def _variables(fields: Mapping[str, FieldInfo], prefix: str) -> dict[str, FieldI
 
 
 def _section_example(title: str, fields: dict[str, FieldInfo]) -> str:
-    lines = [f"# {field.description}\n# {name}={_written(field.default)}\n" for name, field in fields.items()]
+    lines = [f"# {field.description}\n# {name}={written(field.default)}\n" for name, field in fields.items()]
     return f"\n# -- {title}\n" + "".join(lines)
-
-
-def _written(value: Any) -> str:
-    """A value as the environment has it."""
-    if value is None:
-        return ""
-    if isinstance(value, bool | tuple):
-        return json.dumps(value)
-    return str(value)
 
 
 if __name__ == "__main__":

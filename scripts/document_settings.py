@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from common.config.faults import PREFIX
+from common.config.kinds import written
 from common.config.settings import RunSettings, Section
-from common.config.sources import PREFIX
 
 PAGE = Path(__file__).parent.parent / "docs" / "settings.md"
 
@@ -23,8 +24,9 @@ algorithm:
   gamma: 0.995
 ```
 
-The command line wins over the environment, the environment over the file, the file over the defaults. Whole numbers may
-be written as `3e6`. `--config paper` takes the paper's Table 1 (`reskpn/presets/paper.yaml`).
+These sources come in this order, and the defaults last: the first source that sets a value takes precedence. Whole
+numbers may be written as `3e6`, and lists as `256,256` (or `[256, 256]`) in all of them. `--config paper` takes the
+paper's Table 1 (`reskpn/presets/paper.yaml`).
 """
 
 
@@ -48,11 +50,10 @@ def _table(title: str, section: type[Section], prefix: str) -> str:
 
 
 def _default(value: Any) -> str:
-    if value is None:
-        return "-"
-    if isinstance(value, tuple):
-        value = list(value)
-    return f"`{value:,}`" if isinstance(value, int) and value >= 10_000 else f"`{value}`"
+    text = (
+        f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) and value >= 10_000 else written(value)
+    )
+    return f"`{text}`" if text else "-"
 
 
 if __name__ == "__main__":

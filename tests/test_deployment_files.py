@@ -112,7 +112,7 @@ def test_commands_are_those_there_are(compose: dict[str, Any], monkeypatch: pyte
     monkeypatch.setattr("services.actor.service.run_actor", lambda *_, **__: called.append("actor") or 0)
     monkeypatch.setattr("services.evaluator.service.run_evaluator", lambda *_, **__: called.append("evaluator") or 0)
     monkeypatch.setattr("services.router.service.run_router", lambda *_, **__: called.append("router") or 0)
-    monkeypatch.setattr("reskpn.cli.run_to_resume", lambda _: None)
+    monkeypatch.setattr("reskpn.commands.learner.run_to_resume", lambda _: None)
     for service in ("learner", "actor", "evaluator", "router"):
         words = [filled(word) for word in compose["services"][service]["command"]]
         assert cli.main(words) == 0

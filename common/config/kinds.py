@@ -1,4 +1,4 @@
-"""The kinds of values that settings are made of."""
+"""Types of the values of settings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 
 def whole(value: Any) -> Any:
-    """Accept `3e6`, which YAML and shells hand over as text or float, as a whole number."""
+    """Convert `3e6`, which YAML and shells hand over as text or float, to a whole number; return others unchanged."""
     if isinstance(value, str) and not value.strip().isdecimal():  # digits alone are exact; a float might not be
         try:
             value = float(value)
@@ -17,14 +17,46 @@ def whole(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
+def split_list(value: Any) -> Any:
+    """The elements of a list that is written as `a,b` or `[a, b]`; return what is not text unchanged."""
+    if not isinstance(value, str):
+        return value
+    text = value.strip()
+    if text.startswith("[") and text.endswith("]"):
+        text = text[1:-1]
+    elements = (element.strip().strip("\"'") for element in text.split(","))
+    return [element for element in elements if element]
+
+
+def widths(value: Any) -> Any:
+    """The elements of a list of numbers as `split_list`. A number by itself is refused: it may stand for two layers."""
+    alone = str(value).strip()
+    if isinstance(value, int | float | str) and alone.replace("_", "").isdecimal():
+        raise ValueError(f"write {alone},{alone} for two layers, or [{alone}] for a single one")
+    return split_list(value)
+
+
+def written(value: Any) -> str:
+    """A value in the notation that every source takes: `256,256`, `true`, `0.99`; empty for None."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        text = ",".join(written(element) for element in value)
+        return f"[{text}]" if len(value) < 2 and not any(isinstance(element, str) for element in value) else text
+    return str(value)
+
+
 Count = Annotated[int, BeforeValidator(whole), Field(ge=1)]
 Natural = Annotated[int, BeforeValidator(whole), Field(ge=0)]
 Seed = Annotated[int, BeforeValidator(whole), Field(ge=0, lt=2**32)]  # JAX drops higher bits: two seeds, one run
-Staleness = Annotated[int, BeforeValidator(whole), Field(ge=0, le=4)]  # what is older teaches little, and must be kept
+Staleness = Annotated[int, BeforeValidator(whole), Field(ge=0, le=4)]  # older ones teach little, and take memory
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Names = tuple[Annotated[str, Field(min_length=1, max_length=64)], ...]
+Names = Annotated[tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], BeforeValidator(split_list)]
+Widths = Annotated[tuple[Count, ...], BeforeValidator(widths)]
 
 
 class Section(BaseModel):

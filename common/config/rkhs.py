@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, field_validator
 
 from common.config.kinds import Count, Natural, NotNegative, Positive, Section, whole
-from common.tasks import unknown_name
+from common.suggestions import unknown_name
 
 KERNELS = ("gaussian", "laplacian", "linear", "sigmoid")
 REPRESENTATIONS = ("exact", "nystrom", "rff", "kmp", "cluster", "basis")

@@ -1,8 +1,8 @@
 """The settings of a run: one frozen, typed tree, validated once.
 
 Precedence, highest first: command line, environment (`RESKPN_TASK`, `RESKPN_ALGORITHM__GAMMA`), the YAML file
-given by `--config`, the defaults below (which are the paper's Table 1 where it speaks).
-`common.config.sources` reads those places; this module only says what is possible.
+given by `--config`, the defaults below (those of the paper's Table 1, as far as it has them).
+`common.config.sources` reads these sources; this module says what is possible.
 """
 
 from __future__ import annotations
@@ -12,35 +12,35 @@ from typing import Literal, Self
 
 from pydantic import field_validator, model_validator
 
-from common.config.kinds import Count, Fraction, Names, Natural, NotNegative, Positive, Section, Seed, Staleness
+from common.config.kinds import Count, Fraction, Names, Natural, NotNegative, Positive, Section, Seed, Staleness, Widths
 from common.config.rkhs import RkhsSettings, impossibility
+from common.engine_names import PHYSICS
 from common.learners import LEARNERS
-from common.tasks import EPISODE_LENGTH, TASKS, unknown_name
-
-PHYSICS = ("auto", "mjx", "native")
+from common.suggestions import unknown_name
+from common.tasks import EPISODE_LENGTH, TASKS
 
 
 class AlgorithmSettings(Section):
-    """Actor-critic networks and their objective (paper, Table 1; PureJaxRL where the paper is silent)."""
+    """Actor-critic networks and their objective (paper, Table 1; PureJaxRL where the paper does not say)."""
 
     objective: Literal["auto", "clip", "dpo"] = "auto"
     """what trains the policy's networks: PPO's clip, DPO's drift, or auto for the learner's own"""
     gamma: Fraction = 0.99
-    """discount"""
+    """discount factor"""
     gae_lambda: Fraction = 0.95
     """lambda of generalised advantage estimation"""
     epochs: Count = 4
-    """passes over a batch"""
+    """passes over a batch in one update"""
     minibatches: Count = 32
-    """minibatches a pass"""
+    """minibatches of one pass"""
     learning_rate: Positive = 3e-4
     """Adam's step size for the networks"""
     adam_eps: Positive = 1e-5
     """Adam's epsilon"""
     max_grad_norm: Positive = 0.5
-    """global norm at which network gradients are clipped"""
+    """global norm to which network gradients are clipped"""
     clip: Positive = 0.2
-    """PPO's clip of the ratio and of the value's change"""
+    """PPO's clip range of the probability ratio, and of the change of the value"""
     value_coefficient: NotNegative = 0.5
     """weight of the value loss"""
     entropy_coefficient: NotNegative = 0.0
@@ -49,20 +49,20 @@ class AlgorithmSettings(Section):
     """DPO drift for positive advantages"""
     dpo_beta: Positive = 0.6
     """DPO drift for negative advantages"""
-    hidden: tuple[Count, ...] = (256, 256)
-    """widths of the tanh layers of features and critic; the last is the feature size d"""
+    hidden: Widths = (256, 256)
+    """widths of the tanh layers of the feature network and the critic; the last is the feature size d"""
     normalise_observations: bool = True
-    """whiten observations by running mean and variance"""
+    """normalise observations by their running mean and variance"""
     normalise_rewards: bool = True
     """divide rewards by the running standard deviation of the discounted return"""
     bootstrap_at_truncation: bool = False
-    """value an episode cut by the time limit by the critic; false as in the paper"""
+    """bootstrap from the critic where the time limit truncates an episode; the paper does not"""
 
     @field_validator("hidden")
     @classmethod
     def _has_layers(cls, hidden: tuple[int, ...]) -> tuple[int, ...]:
         if not hidden:
-            raise ValueError("needs at least one layer, for example [256, 256]")
+            raise ValueError("needs at least one layer, for example 256,256")
         return hidden
 
 
@@ -70,78 +70,78 @@ class TransportSettings(Section):
     """Zenoh between learner and actors."""
 
     endpoint: str = "tcp/127.0.0.1:7447"
-    """where the learner listens and actors connect"""
+    """address on which the learner listens and to which actors connect: tcp/HOST:PORT or tls/HOST:PORT"""
     router: bool = False
-    """the endpoint is a Zenoh router's, to which the learner connects like the others"""
+    """the endpoint is that of a Zenoh router, to which the learner connects as well"""
     insecure: bool = False
     """allow an endpoint beyond loopback without authentication"""
     certificates: Path | None = None
-    """folder with ca.crt, tls.crt and tls.key, for tls/ endpoints; `reskpn certs` makes them"""
+    """directory with this process's certificate (made by `reskpn certs`); required for tls/ endpoints"""
     users: Path | None = None
-    """file of user:password lines: all whom the learner lets in, or first of all the one that an actor is"""
+    """file of user:password lines: at the learner all users that may connect, at an actor its own in the first line"""
     actor_names: Names = ("actor",)
-    """names, in certificates or of users, that may work for the run"""
+    """names, of certificates or users, that may work for the run"""
     viewer_names: Names = ("viewer",)
-    """names that may only watch it"""
+    """names, of certificates or users, that may only watch the run"""
     queue_bytes: Count = 256 << 20
-    """rollouts waiting at the learner before actors are told to wait, in bytes"""
+    """bytes of rollouts that may wait at the learner before actors are told to try later"""
     max_message_bytes: Count = 256 << 20
-    """largest message accepted"""
+    """size of the largest message that is accepted, in bytes"""
     push_timeout_s: Positive = 30.0
-    """time an actor waits for the learner's answer before it asks again"""
+    """seconds that an actor waits for the learner's answer before it repeats a request"""
     lease_s: Positive = 2.0
-    """silence after which a peer counts as gone"""
+    """seconds of silence after which a peer counts as lost"""
 
 
 class LogSettings(Section):
     """The MCAP log of the run."""
 
     segment_bytes: Count = 1 << 30
-    """size at which a new file is begun"""
+    """size in bytes at which the log continues in a new file"""
     compression: Literal["none", "lz4"] = "none"
-    """chunk compression"""
+    """compression of the log's chunks"""
     policy_every: Count = 10
-    """versions between policies in the log"""
+    """number of versions from one logged policy to the next"""
     checkpoint_every: Count = 50
-    """versions between checkpoint files"""
+    """number of versions from one checkpoint to the next"""
 
 
 class EvaluationSettings(Section):
     """The final evaluation with the deterministic policy."""
 
     episodes: Natural = 64
-    """episodes at the end of the run; 0 for none"""
+    """episodes of the final evaluation; 0: none"""
 
 
 class RunSettings(Section):
     """All settings of one training run."""
 
     task: str = "inverted_pendulum"
-    """environment to train on"""
+    """task to train on"""
     learner: str = "reskpn"
-    """algorithm"""
+    """learning algorithm"""
     physics: str = "auto"
-    """engine of the actors: mjx, native, or auto (mjx on an accelerator, native on a CPU)"""
+    """physics engine of the actors: mjx, native, or auto (mjx on an accelerator, native on a CPU)"""
     total_steps: Count = 2_200_000
-    """environment steps; rounded down to whole updates"""
+    """environment steps of the whole run; rounded down to whole updates"""
     actors: Count = 2
-    """rollouts an update is made of, and the actor processes that `train` starts"""
+    """slots of the run: rollouts that make one update, and actor processes that `train` starts"""
     slot_wait_s: Positive | None = None
-    """seconds until slots that nobody has held yet are left to others; default: never, so that a run can be repeated"""
+    """seconds after which a slot that no actor has taken yet is left to the other actors; by default never"""
     num_envs: Count = 2048
-    """environments over all actors"""
+    """environments, over all actors"""
     num_steps: Count = 10
-    """steps each environment takes for one update"""
+    """steps of each environment in one update"""
     seed: Seed = 0
-    """seed of networks, environments and sampling"""
+    """random seed of networks, environments and sampling"""
     mode: Literal["sync", "async"] = "sync"
-    """sync: updates use rollouts of the newest policy only, bit for bit repeatable; async: actors work on meanwhile"""
+    """sync: updates use rollouts of the newest policy, and runs repeat bit for bit; async: actors go on collecting"""
     max_staleness: Staleness = 1
-    """versions that a rollout may lie behind the policy that it updates; in mode sync none ever does"""
+    """versions that a rollout's policy may lie behind the policy that it updates (mode async; in mode sync it is 0)"""
     run_dir: Path | None = None
-    """where the run is kept; default: runs/<task>-<learner>-s<seed>-<time>"""
+    """directory of the run; by default runs/<task>-<learner>-s<seed>-<time>"""
     episode_length: Count = EPISODE_LENGTH
-    """steps after which an episode is truncated"""
+    """steps after which the time limit truncates an episode"""
 
     algorithm: AlgorithmSettings = AlgorithmSettings()
     rkhs: RkhsSettings = RkhsSettings()
@@ -172,7 +172,7 @@ class RunSettings(Section):
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
-        """Refuse at start what no run could do, with the numbers."""
+        """Refuse combinations that no run can have, with the numbers."""
         batch, minibatches = self.batch_size, self.algorithm.minibatches
         if self.num_envs % self.actors:
             raise ValueError(
@@ -207,7 +207,7 @@ class RunSettings(Section):
 
     @property
     def staleness(self) -> int:
-        """The bound on staleness that the mode makes of `max_staleness`."""
+        """The largest staleness in this mode: `max_staleness` in mode async, else 0."""
         return self.max_staleness if self.mode == "async" else 0
 
     @property
@@ -228,7 +228,7 @@ class RunSettings(Section):
 
     @property
     def branches(self) -> int:
-        """Environments whose last step of a rollout is made once more under the mirrored action; 0 for none."""
+        """Environments whose last step of a rollout is repeated under the mirrored action; 0 for none."""
         return self.num_envs if LEARNERS[self.learner].rkhs and self.rkhs.estimate == "symmetric" else 0
 
     @property

@@ -1,7 +1,7 @@
-"""Where settings come from, and which place wins: command line, environment, YAML file, defaults.
+"""Sources of settings: command line, environment, YAML file, defaults. The first that sets a value takes precedence.
 
-A `Section` stays a plain frozen model; `load` reads the places with pydantic-settings, merges them and turns what
-cannot be into one sentence per fault that says what was given, what is allowed and where it came from.
+A `Section` stays a plain frozen model; `load` reads the sources with pydantic-settings, merges them and turns each
+fault into a sentence that says what was given, what is allowed and where it came from.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 
 import yaml
 from pydantic import ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_settings import (
     BaseSettings,
     CliSettingsSource,
@@ -23,16 +24,23 @@ from pydantic_settings import (
 )
 from pydantic_settings import SettingsError as SourceError
 
+from common.config.faults import COMMAND_LINE, ENVIRONMENT, PREFIX, Source, explain, unknown_setting
+from common.config.kinds import written
 from common.config.settings import RunSettings, Section
+from common.config.tree import leaf
 from common.errors import SettingsError
-from common.tasks import unknown_name
 
-PREFIX = "RESKPN_"
 PRESETS = ("paper",)
+
+OTHER_VARIABLES = frozenset({"RESKPN_CACHE_DIR"})
+"""Variables with the prefix that are not settings of a run."""
+
+METAVARS = {"bool": "true|false", "float": "X", "int": "N", "str": "NAME", "Path": "PATH", "{int,batch}": "N|batch"}
+"""Placeholders of options by type; those of lists are below, and choices stand as they are."""
 
 
 class _Sources(RunSettings, BaseSettings):
-    """The same fields as `RunSettings`, for pydantic-settings to read places by."""
+    """The same fields as `RunSettings`, by which pydantic-settings reads sources."""
 
     model_config = SettingsConfigDict(
         frozen=True,
@@ -45,6 +53,23 @@ class _Sources(RunSettings, BaseSettings):
     )
 
 
+class _ListsAsText:
+    """Leaves lists to the settings' validators, so that they have one notation in all sources; sections are JSON."""
+
+    def decode_complex_value(self, field_name: str, field: FieldInfo, value: Any) -> Any:
+        if not isinstance(field.default, Section):
+            return value
+        return super().decode_complex_value(field_name, field, value)  # type: ignore[misc]
+
+
+class _Environment(_ListsAsText, EnvSettingsSource):
+    pass
+
+
+class _CommandLine(_ListsAsText, CliSettingsSource[Any]):
+    pass
+
+
 def add_options(parser: argparse.ArgumentParser) -> CliSettingsSource[Any]:
     """Give the parser an option for every setting; the result goes to `load` with the parsed arguments."""
     parser.add_argument(
@@ -52,7 +77,22 @@ def add_options(parser: argparse.ArgumentParser) -> CliSettingsSource[Any]:
         metavar="FILE",
         help=f"YAML file of settings, or the name of a preset ({', '.join(PRESETS)})",
     )
-    return CliSettingsSource(_Sources, root_parser=parser, cli_parse_args=False)
+    return _CommandLine(_Sources, root_parser=parser, cli_parse_args=False, add_argument_method=_add_option)
+
+
+def _add_option(parser: Any, *names: str, **given: Any) -> Any:
+    """Add an option as pydantic-settings describes it, with the help, placeholder and lists of this project."""
+    field = leaf(names[0].removeprefix("--").replace("-", "_"))
+    if field is None:
+        return parser.add_argument(*names, **given)
+    default = written(field.default)
+    given["help"] = f"{field.description}{f' (default: {default})' if default else ''}".replace("%", "%%")
+    metavar = str(given.get("metavar"))
+    given["metavar"] = METAVARS.get(metavar, metavar)
+    if isinstance(field.default, tuple):
+        given["action"] = "store"
+        given["metavar"] = "N,N,..." if isinstance(field.default[0], int) else "NAME,..."
+    return parser.add_argument(*names, **given)
 
 
 def load(
@@ -62,14 +102,14 @@ def load(
     config: str | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> RunSettings:
-    """The settings of a run out of all places, or SettingsError with every fault found.
+    """The settings of a run from all sources, or SettingsError with every fault found.
 
     Args:
-        options, arguments: what `add_options` gave, and what the parser made of the command line.
+        options, arguments: the result of `add_options`, and of the parser.
         config: a YAML file or the name of a preset.
         environment: default `os.environ`.
     """
-    return _validated(_places(options, arguments, config, environment))
+    return _validated(_sources(options, arguments, config, environment))
 
 
 def load_over(
@@ -81,37 +121,37 @@ def load_over(
     environment: Mapping[str, str] | None = None,
     own_endpoint: bool = True,
 ) -> RunSettings:
-    """As `load`, but what no place gives is as in `base`: the settings of a run that was made before.
+    """As `load`, but with the settings of an existing run, `base`, in place of the defaults.
 
-    `own_endpoint`: this goes for transport.endpoint, too.
+    `own_endpoint`: keep its transport.endpoint, too.
     """
-    places = _places(options, arguments, config, environment)
+    sources = _sources(options, arguments, config, environment)
     exclude = None if own_endpoint else {"transport": {"endpoint"}}
-    return _validated([*places, ("the run", base.model_dump(mode="json", exclude=exclude))])
+    return _validated([*sources, Source("the run", base.model_dump(mode="json", exclude=exclude))])
 
 
-def _places(
+def _sources(
     options: CliSettingsSource[Any] | None,
     arguments: argparse.Namespace | None,
     config: str | None,
     environment: Mapping[str, str] | None,
-) -> list[tuple[str, dict[str, Any]]]:
-    """What every place gives, the one that wins first."""
+) -> list[Source]:
+    """The values of every source, in order of precedence."""
     return [
-        ("the command line", _from_command_line(options, arguments)),
-        ("the environment", _from_environment(os.environ if environment is None else environment)),
-        (f"{config}", _from_file(config) if config else {}),
+        Source(COMMAND_LINE, _from_command_line(options, arguments)),
+        Source(ENVIRONMENT, _from_environment(os.environ if environment is None else environment)),
+        Source(f"{config}", _from_file(config) if config else {}),
     ]
 
 
-def _validated(places: list[tuple[str, dict[str, Any]]]) -> RunSettings:
+def _validated(sources: list[Source]) -> RunSettings:
     merged: dict[str, Any] = {}
-    for _, values in reversed(places):
-        merged = _merge(merged, values)
+    for source in reversed(sources):
+        merged = _merge(merged, source.values)
     try:
         return RunSettings.model_validate(merged)
     except ValidationError as error:
-        raise SettingsError(_explain(error, places)) from None
+        raise SettingsError(explain(error, sources)) from None
 
 
 def parse_json(text: str) -> RunSettings:
@@ -119,7 +159,7 @@ def parse_json(text: str) -> RunSettings:
     try:
         return RunSettings.model_validate_json(text)
     except ValidationError as error:
-        raise SettingsError(f"settings that a learner wrote cannot be used here: {_explain(error, [])}") from None
+        raise SettingsError(f"settings that a learner wrote cannot be used here: {explain(error, [])}") from None
 
 
 def _from_command_line(options: CliSettingsSource[Any] | None, arguments: argparse.Namespace | None) -> dict[str, Any]:
@@ -130,33 +170,27 @@ def _from_command_line(options: CliSettingsSource[Any] | None, arguments: argpar
 
 
 def _from_environment(environment: Mapping[str, str]) -> dict[str, Any]:
-    unknown = [name for name in environment if name.startswith(PREFIX) and _is_stray(name)]
+    unknown = [name for name in environment if name.startswith(PREFIX) and not _is_known(name)]
     if unknown:
-        name = unknown[0]
-        known = [f"{PREFIX}{field.upper()}" for field in RunSettings.model_fields]
-        raise SettingsError(unknown_name("setting (environment)", name, known))
-    source = EnvSettingsSource(_Sources)
+        raise SettingsError("\n".join(unknown_setting(name, ENVIRONMENT) for name in unknown))
+    source = _Environment(_Sources)
     source.env_vars = {key.lower(): value for key, value in environment.items()}
     try:
         return dict(source())
     except SourceError as error:
         raise SettingsError(
-            f"the environment's {PREFIX}... variables cannot be read: {error}; lists and sections are written as JSON, "
-            f"as in {PREFIX}ALGORITHM__HIDDEN=[256,256]"
+            f"the environment's {PREFIX}... variables cannot be read: {error}; a whole section is written as JSON, "
+            f'as in {PREFIX}ALGORITHM={{"gamma": 0.99}}'
         ) from None
 
 
-def _is_stray(name: str) -> bool:
-    """Whether a RESKPN_ variable is no setting; RESKPN_HOME_... of other tools would be a typo as well."""
+def _is_known(name: str) -> bool:
+    """Whether a variable with the prefix is known: as a setting, or something inside a section, or another variable."""
     head, _, rest = name[len(PREFIX) :].lower().partition("__")
     field = RunSettings.model_fields.get(head)
     if field is None:
-        return name not in OTHER_VARIABLES
-    return bool(rest) and not isinstance(field.default, Section)
-
-
-OTHER_VARIABLES = frozenset({"RESKPN_CACHE_DIR"})
-"""Variables that are no setting of a run."""
+        return name in OTHER_VARIABLES
+    return not rest or isinstance(field.default, Section)
 
 
 def _from_file(config: str) -> dict[str, Any]:
@@ -190,44 +224,3 @@ def _merge(below: dict[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
         old = merged.get(name)
         merged[name] = _merge(old, value) if isinstance(old, dict) and isinstance(value, Mapping) else value
     return merged
-
-
-def _explain(error: ValidationError, places: list[tuple[str, dict[str, Any]]]) -> str:
-    """One line a fault: setting, what was given and where, what is wrong with it."""
-    lines = []
-    for fault in error.errors(include_url=False, include_context=False):
-        name = ".".join(str(part) for part in fault["loc"])
-        text = fault["msg"].removeprefix("Value error, ")
-        if fault["type"] == "extra_forbidden":
-            text = _unknown_setting(fault["loc"])
-        elif name and not text.startswith(repr(fault["input"])):
-            text = f"{fault['input']!r}: {text}"
-        source = next((place for place, values in places if _holds(values, fault["loc"])), None)
-        where = f" (from {source})" if source else ""
-        lines.append(f"{name}{where}: {text}" if name else text)
-    return "\n".join(lines)
-
-
-def _holds(values: Any, loc: tuple[int | str, ...]) -> bool:
-    """Whether a place gave the setting, or the list that it is an element of."""
-    if not loc:
-        return False
-    for part in loc:
-        if isinstance(values, list | tuple):
-            return True
-        if not isinstance(values, Mapping) or part not in values:
-            return False
-        values = values[part]
-    return True
-
-
-def _unknown_setting(loc: tuple[int | str, ...]) -> str:
-    """The sentence for a name that is no setting of its section."""
-    model: Any = RunSettings
-    for part in loc[:-1]:
-        model = model.model_fields[part].annotation
-    given = str(loc[-1])
-    section, _, rest = given.partition(".")
-    if rest and section in model.model_fields:
-        return f"{given!r} is not a setting; in a file, write {rest!r} indented under {section!r}:"
-    return unknown_name("setting", given, model.model_fields)

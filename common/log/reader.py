@@ -11,7 +11,7 @@ from common.log.framing import TornTail
 from common.log.records import CHANNELS, LogMessage
 from common.log.segment_reader import SegmentReader
 from common.log.segments import find_segments
-from common.tasks import unknown_name
+from common.suggestions import unknown_name
 
 __all__ = ["LogMessage", "LogReader", "TornTail"]
 

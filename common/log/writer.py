@@ -17,7 +17,7 @@ from common.log.failures import write_failure
 from common.log.records import CHANNELS, encode_json
 from common.log.segment_writer import Attachments, Compression, Metadata, SegmentWriter
 from common.log.segments import WriterLock, list_segments, segment_number, segment_path
-from common.tasks import unknown_name
+from common.suggestions import unknown_name
 
 _GROUP_BYTES = 32 << 20
 """Most bytes of one commit: bounds the wait for an acknowledgement, and by how much a segment exceeds its size."""

@@ -11,18 +11,12 @@ Importing this module loads neither engine, so that a setting can be checked wit
 
 from __future__ import annotations
 
-from typing import Final
-
 import jax
 from jax._src.xla_bridge import backends_are_initialized
 
+from common.engine_names import AUTO, MJX, NATIVE, PHYSICS
 from common.errors import PhysicsError, SettingsError
-from common.tasks import unknown_name
-
-AUTO: Final = "auto"
-MJX: Final = "mjx"
-NATIVE: Final = "native"
-PHYSICS: Final = (AUTO, MJX, NATIVE)
+from common.suggestions import unknown_name
 
 _ASYNCHRONOUS = "jax_cpu_enable_async_dispatch"
 

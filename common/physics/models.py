@@ -10,7 +10,8 @@ import numpy as np
 
 from common.errors import SettingsError
 from common.physics.libraries import envs, log_instead_of_printing, without_announcements
-from common.tasks import TASKS, unknown_name
+from common.suggestions import unknown_name
+from common.tasks import TASKS
 
 OPTIONS = (
     "timestep", "integrator", "solver", "cone", "iterations", "ls_iterations", "tolerance", "ls_tolerance",

@@ -1,4 +1,4 @@
-"""Options of commands that meet a learner: where, and who they are."""
+"""Options of commands that connect to a learner: its address and this process's credentials."""
 
 from __future__ import annotations
 
@@ -6,17 +6,28 @@ import argparse
 from pathlib import Path
 
 from common.config.settings import TransportSettings
+from common.engine_names import PHYSICS
 
 
-def add_connection(parser: argparse.ArgumentParser, of: str = "", what: str = "where the learner listens") -> None:
-    """`of` begins the help, where the options go with one use of the command only; `what` is at the address."""
+def add_connection(parser: argparse.ArgumentParser, of: str = "", what: str = "address of the learner") -> None:
+    """`of` begins the help, where the options belong to one use of the command only; `what` describes the address."""
     default = TransportSettings().endpoint
-    parser.add_argument("--endpoint", metavar="ADDRESS", help=f"{of}{what}, tcp|tls/HOST:PORT (default: {default})")
     parser.add_argument(
-        "--certificates", type=Path, metavar="DIR", help=f"{of}of who this is, as `reskpn certs` makes them, for tls/"
+        "--endpoint",
+        metavar="ADDRESS",
+        help=f"{of}{what}, tcp/HOST:PORT or tls/HOST:PORT (default: {default})",
     )
     parser.add_argument(
-        "--users", type=Path, metavar="FILE", help=f"{of}instead, or as well: a file with user:password"
+        "--certificates",
+        type=Path,
+        metavar="DIR",
+        help=f"{of}directory with this process's certificate (made by `reskpn certs`); required for tls/ endpoints",
+    )
+    parser.add_argument(
+        "--users",
+        type=Path,
+        metavar="FILE",
+        help=f"{of}file with this process's name and password as a line user:password, with or without certificates",
     )
 
 
@@ -24,3 +35,29 @@ def over(transport: TransportSettings, given: argparse.Namespace) -> TransportSe
     """The settings with what was given by those options put over them."""
     names = ("endpoint", "certificates", "users")
     return transport.model_copy(update={name: value for name in names if (value := getattr(given, name)) is not None})
+
+
+def add_worker_options(parser: argparse.ArgumentParser, verb: str, service: str) -> None:
+    """The options of a process that connects to a learner and runs environments of its own."""
+    add_connection(parser)
+    parser.add_argument(
+        "--physics", choices=PHYSICS, help="physics engine, if the run leaves the choice to the actor (physics auto)"
+    )
+    parser.add_argument("--run", default="", metavar="RUN", help=f"{verb} this run only (default: any that is served)")
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="threads of the native engine (default: one per core)"
+    )
+    parser.add_argument(
+        "--connect-timeout", type=float, metavar="S", help="seconds to wait for a learner to answer (default: no limit)"
+    )
+    parser.add_argument(
+        "--rejoin-timeout",
+        type=float,
+        metavar="S",
+        help="seconds to wait for a learner that was lost to come back (default: no limit)",
+    )
+    parser.add_argument("--config", metavar="FILE", help="YAML file of settings; only its transport section is used")
+    parser.add_argument(
+        "--state-file", type=Path, metavar="FILE", help=f"file that `python -m reskpn.health {service}` reads"
+    )
+    parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)

@@ -1,7 +1,8 @@
-"""`reskpn replay`: what can be made of a recorded run, from its log alone."""
+"""`reskpn replay`: a recorded run verified, extracted, published or learned from, from its log alone."""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,9 @@ from common.runs.directory import SUMMARY, claim_run_dir, default_run_dir
 from common.runs.origins import bits_can_differ, differences, origin
 from common.runs.read_ahead import read_ahead
 from common.runs.recorded_run import RecordedRun, open_run
+from reskpn.commands.command import EXIT_CODES, Command
+from reskpn.commands.connection import add_connection, over
+from reskpn.commands.settings_options import add_settings, settings_given_over
 
 LINES = 10
 """Lines of metrics that are printed while a second learner trains."""
@@ -132,7 +136,7 @@ def publish_run(path: Path, transport: TransportSettings, rate: float | None, de
 
 
 def updates_to_read(run: RecordedRun, until: int | None) -> int:
-    """How many updates there are up to version `until`.
+    """The number of updates up to version `until`.
 
     Raises:
         SettingsError: there is no update, or none with that version.
@@ -165,3 +169,69 @@ def progress_bar() -> Progress:
         console=Console(stderr=True, highlight=False),
         transient=True,
     )
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("path", type=Path, metavar="RUN", help="directory of a run, its log directory, or a single .mcap file")
+    uses = parser.add_mutually_exclusive_group(required=True)
+    uses.add_argument("--verify", action="store_true", help="recompute every state from the log and compare")
+    uses.add_argument("--extract", type=Path, metavar="DIR", help="write transitions, episodes and metrics to DIR")
+    uses.add_argument("--publish", action="store_true", help="publish the log on the keys that the run used")
+    uses.add_argument("--into", metavar="LEARNER", help="train another learner on the same experience")
+    add("--until", type=int, metavar="V", help="with --verify: stop after this version (default: the last)")
+    add("--format", choices=("parquet",), default="parquet", help="with --extract (default: parquet)")
+    add("--rate", type=_rate, default=1.0, metavar="R", help="with --publish: multiple of the run's pace, or max (1)")
+    add_connection(parser, "with --publish: ", "address to listen on")
+    add("--delay", type=float, default=2.0, metavar="S", help="with --publish: seconds to connect before it starts (2)")
+    add(
+        "--insecure",
+        action="store_true",
+        help="with --publish: allow an address beyond loopback without authentication",
+    )
+    add_settings(parser)
+
+
+def run(given: argparse.Namespace) -> int:
+    """Use the log as the options say."""
+    _refuse_misplaced_options(given)
+    if given.into is not None:
+        given.learner = given.into
+        over_recorded = settings_given_over(given)
+        return train_into(given.path, lambda recorded: over_recorded(recorded.model_copy(update={"run_dir": None})))
+    if given.extract is not None:
+        return extract_run(given.path, given.extract)
+    if given.publish:
+        transport = over(TransportSettings(insecure=given.insecure), given)
+        return publish_run(given.path, transport, given.rate, given.delay)
+    return verify_run(given.path, given.until)
+
+
+def _refuse_misplaced_options(given: argparse.Namespace) -> None:
+    """SettingsError for an option that this use of the log does not have."""
+    if given.until is not None and not given.verify:
+        raise SettingsError("--until goes with --verify; the other uses of a log take all of it")
+    settings = [name for name in vars(given) if name.split(".")[0] in RunSettings.model_fields]
+    if settings and given.into is None:
+        raise SettingsError(f"{settings[0]} is a setting of a learner; settings go with --into, the log has its own")
+    if given.into is not None and "learner" in settings:
+        raise SettingsError("--learner goes without --into, which names the learner")
+
+
+def _rate(text: str) -> float | None:
+    """A pace above 0; None for "max"."""
+    if text == "max":
+        return None
+    rate = float(text)
+    if not 0.0 < rate < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a pace: give a number above 0, or max")
+    return rate
+
+
+COMMAND = Command(
+    add_options,
+    run,
+    "Settings are for --into alone, where the recorded run's settings replace the\ndefaults that are shown here.\n\n"
+    f"{EXIT_CODES}",
+    usage="reskpn replay RUN (--verify | --extract DIR | --publish | --into LEARNER) [options]",
+)

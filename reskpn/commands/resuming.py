@@ -1,4 +1,4 @@
-"""What `--resume` means: which run, with which settings, and whether there is anything left to do."""
+"""`--resume`: which run is meant, with which settings, and whether there is anything left to do."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ AUTO = "auto"
 
 
 def settings_to_resume(run_dir: Path, load: Callable[[RunSettings], RunSettings]) -> RunSettings | None:
-    """The settings to go on with; None, which is said, where the run is complete and no more steps are asked for.
+    """The settings to continue with; None, with a line printed, if the run is complete and no more steps are given.
 
     `load` puts what is given now over the settings of the run. SettingsError as `resumed_settings`.
     """
@@ -23,7 +23,7 @@ def settings_to_resume(run_dir: Path, load: Callable[[RunSettings], RunSettings]
     if found.complete and settings.updates == found.settings.updates:
         print(
             f"{run_dir}: this run has finished, with {settings.updates} updates; "
-            "give more --total-steps to go on with it",
+            "give more --total-steps to continue it",
             flush=True,
         )
         return None
@@ -31,7 +31,7 @@ def settings_to_resume(run_dir: Path, load: Callable[[RunSettings], RunSettings]
 
 
 def close_log(run_dir: Path) -> int:
-    """Of a finished run whose learner was killed before it could, with nobody left to be told. Returns 0."""
+    """Close the log of a finished run whose learner was killed before it did. Returns 0."""
     from services.learner.resume.plan import repair_log
 
     if read_interrupted(run_dir).shutdown_pending:
@@ -41,7 +41,7 @@ def close_log(run_dir: Path) -> int:
 
 
 def notify_pending_actors(run_dir: Path, load: Callable[[RunSettings], RunSettings], stop: threading.Event) -> int:
-    """Of a finished run: tell its actors so, where its learner was killed before it could. Returns 0.
+    """Tell the actors of a finished run that it is over, if its learner was killed before it did. Returns 0.
 
     Raises as `send_shutdown_notice`, and SettingsError as `resumed_settings`.
     """
@@ -55,10 +55,10 @@ def notify_pending_actors(run_dir: Path, load: Callable[[RunSettings], RunSettin
 
 
 def run_to_resume(settings: RunSettings) -> str | None:
-    """For `--resume auto`: the directory of the run to go on with; None to start one.
+    """The directory of the run that `--resume auto` continues; None if it starts a new one.
 
-    That is the run in --run-dir; or else the newest one where runs are kept, if it is of these settings and unfinished,
-    or its learner was killed before its actors had heard that it is over.
+    That is the run in --run-dir, or else the newest one in the folder of runs, if it has these settings and is
+    unfinished, or its learner was killed before its actors were told that it is over.
     """
     if settings.run_dir is not None:
         return str(settings.run_dir) if holds_run(settings.run_dir) else None

@@ -1,7 +1,8 @@
-"""`reskpn status`: ask a learner how its run and its actors are, once or again and again."""
+"""`reskpn status`: the state of a run and its actors, asked of its learner once or repeatedly."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 import threading
@@ -11,6 +12,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.live import Live
 
+from common.config.faults import PREFIX
+from common.config.sources import load
 from common.errors import SessionError, SettingsError
 from common.printable import printable
 from common.runs.directory import SETTINGS
@@ -18,16 +21,18 @@ from common.wire.credentials import NOBODY, Credentials
 from common.wire.keys import STATUS
 from common.wire.report import MAX_REPORT_BYTES, RunReport
 from common.wire.session import Session, open_session
+from reskpn.commands.command import EXIT_CODES, Command
+from reskpn.commands.connection import add_connection, over
 from reskpn.commands.status_view import view
 
 CONNECT_S = 3.0
-"""How long a learner may take to be connected to, and then to answer."""
+"""Seconds to connect to a learner, and then for its answer."""
 
 ASK_S = 1.0
 
 WATCH_S = 1.0
 PLAIN_WIDTH = 160
-_RETRY = threading.Event()  # never set: between two questions nothing here can end the wait early
+_RETRY = threading.Event()  # never set: nothing ends the pause between two questions early
 
 
 def status(
@@ -39,7 +44,7 @@ def status(
         SessionError: no learner there, or it has gone.
         CodecError: what answers is not a learner of this release.
     """
-    # Where nobody looks at it while it is written, its lines are not broken.
+    # In a file or a pipe, lines are not wrapped.
     console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=PLAIN_WIDTH)
     with connect(endpoint, credentials=credentials) as session:
         report = ask(session, endpoint)
@@ -50,17 +55,17 @@ def status(
             while not stop.is_set():
                 _print(console, report, as_json=as_json)
                 if not stop.wait(WATCH_S):
-                    report = _ask_again(session, report)
+                    report = _ask_next(session, report)
             return 0
         with Live(view(report), console=console, refresh_per_second=4) as live:
             while not stop.wait(WATCH_S):
-                report = _ask_again(session, report)
+                report = _ask_next(session, report)
                 live.update(view(report))
     return 0
 
 
 def connect(endpoint: str, timeout_s: float = CONNECT_S, credentials: Credentials = NOBODY) -> Session:
-    """A session with whoever listens at `endpoint`; SessionError within the time where nobody does."""
+    """A session with the process that listens at `endpoint`; SessionError if there is none within the time."""
     return open_session(
         connect=[endpoint],
         connect_timeout_s=timeout_s,
@@ -75,7 +80,7 @@ def ask(session: Session, endpoint: str, timeout_s: float = CONNECT_S) -> RunRep
     """The report of the learner that the session is connected to.
 
     Raises:
-        SessionError: nobody there answers as a learner does.
+        SessionError: no learner answers there.
         CodecError: the answer is not a report.
     """
     deadline = time.monotonic() + timeout_s
@@ -83,7 +88,7 @@ def ask(session: Session, endpoint: str, timeout_s: float = CONNECT_S) -> RunRep
         try:
             return RunReport.decode(session.ask(STATUS, b"", ASK_S))
         except SessionError:
-            # What the learner serves is known a moment after the connection; and a starting one serves it later.
+            # A learner's endpoints become known shortly after the connection, and one that starts declares them later.
             if time.monotonic() >= deadline:
                 raise SessionError(
                     f"something listens at {endpoint} but does not answer as a learner: it is still starting, "
@@ -93,17 +98,17 @@ def ask(session: Session, endpoint: str, timeout_s: float = CONNECT_S) -> RunRep
         _RETRY.wait(0.1)
 
 
-def _ask_again(session: Session, last: RunReport) -> RunReport:
+def _ask_next(session: Session, last: RunReport) -> RunReport:
     try:
         return ask(session, last.endpoint, CONNECT_S)
     except SessionError:
         raise SessionError(
-            f"the learner of {printable(last.run)} does not answer any more: its run is over, or it was stopped"
+            f"the learner of {printable(last.run)} does not answer any more: the run is over, or the learner stopped"
         ) from None
 
 
 def endpoint_of(run_dir: Path) -> str:
-    """Where the learner of a run directory listens. SettingsError where there are no settings of a run in it."""
+    """The address of the learner of a run directory. SettingsError if the directory has no settings of a run."""
     path = run_dir / SETTINGS
     try:
         endpoint = json.loads(path.read_text())["transport"]["endpoint"]
@@ -121,3 +126,30 @@ def _print(console: Console, report: RunReport, *, as_json: bool) -> None:
         print(report.model_dump_json(), flush=True)
     else:
         console.print(view(report))
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    add_connection(parser)
+    parser.add_argument(
+        "--run-dir",
+        type=Path,
+        metavar="DIR",
+        help="directory of the run, whose settings have the address",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object per line, for machines")
+    parser.add_argument("--watch", action="store_true", help="repeat every second, until Ctrl-C")
+
+
+def run(given: argparse.Namespace) -> int:
+    """Print the state of the run that the options name."""
+    from reskpn.supervision.stopping import stopping
+
+    transport = over(load().transport, given)
+    if given.run_dir and not given.endpoint:
+        transport = transport.model_copy(update={"endpoint": endpoint_of(given.run_dir)})
+    credentials = Credentials.of(transport)
+    with stopping(supervised=False) as stop:
+        return status(transport.endpoint, as_json=given.json, watch=given.watch, stop=stop, credentials=credentials)
+
+
+COMMAND = Command(add_options, run, f"{PREFIX}TRANSPORT__ENDPOINT in the environment is used as well.\n\n{EXIT_CODES}")

@@ -1,4 +1,4 @@
-"""A learner's report for a person: a few lines about the run, a table of its slots, and what was not used."""
+"""A learner's report as text: a few lines about the run, a table of its slots, and what was refused."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from common.wire.report import LATE_S, ActorReport, RunReport, VacancyReport
 
 COLUMNS = (
     "slot", "actor", "host", "state", "engine", "policy", "age", "steps/s", "heard", "accepted", "refused", "busy",
-    "again",
+    "repeated",
 )  # fmt: skip
 
 
 def view(report: RunReport) -> RenderableType:
-    """All of it; what came over the network is shown without what a terminal would obey."""
+    """The whole report; text from the network is shown without control characters."""
     parts: list[RenderableType] = [Text(line) for line in head(report)]
     parts += [_table(report), *(Text(line) for line in tail(report))]
     return Group(*parts)
 
 
 def head(report: RunReport) -> list[str]:
-    """The run: how far it is, and what it waits for."""
+    """The run: its progress, and what it waits for."""
     name = printable(f"{report.run}: {report.learner} on {report.task} at {report.endpoint}")
     progress = report.progress
     if progress is None:
@@ -45,15 +45,15 @@ def head(report: RunReport) -> list[str]:
 
 
 def _waits(report: RunReport) -> str:
-    """The learner's own words win where it waits for something else than rollouts."""
+    """The learner's own text takes precedence where it does not wait for rollouts."""
     text = report.progress.text if report.progress is not None else ""
     if report.progress is not None and report.progress.phase in ("compiling", "evaluating"):
         return printable(f"waiting for {text}", 4096)
-    return printable(report.waiting_for, 4096) or "all rollouts are there: the learner is at work"
+    return printable(report.waiting_for, 4096) or "all rollouts have arrived: the learner is computing"
 
 
 def tail(report: RunReport) -> list[str]:
-    """What became of the messages, and why some were not used."""
+    """Messages by outcome, and the reasons of refusals."""
     totals = report.totals
     lines = [
         f"rollouts: {totals.accepted:,} accepted, {totals.refused:,} refused, {totals.busy:,} busy, "
@@ -73,7 +73,7 @@ def tail(report: RunReport) -> list[str]:
 
 
 def _evaluated(report: RunReport) -> str | None:
-    """The newest evaluation of an evaluator; None where there is neither."""
+    """The newest evaluation of an evaluator; None if there is neither."""
     found, here = report.evaluation, f"{report.evaluators:,} evaluator{'' if report.evaluators == 1 else 's'}"
     if found is None:
         return f"evaluation: none yet; {here}" if report.evaluators else None
@@ -120,7 +120,7 @@ def actor_row(actor: ActorReport, newest: int | None) -> list[str]:
 
 
 def vacancy_row(vacancy: VacancyReport) -> list[str]:
-    """The cells of a slot that nobody holds."""
+    """The cells of a slot that no actor holds."""
     why = "lost its actor" if vacancy.lost else "no actor yet"
     return [str(vacancy.slot), "-", "-", f"{why} {duration(vacancy.for_s)}", *["-"] * (len(COLUMNS) - 4)]
 

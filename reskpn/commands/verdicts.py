@@ -1,4 +1,4 @@
-"""What a verification found, as sentences."""
+"""The result of a verification, as sentences."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TOLERANCE = f"within {ABSOLUTE_TOLERANCE:g} + {RELATIVE_TOLERANCE:.0%} of the re
 
 
 def describe_verdict(verdict: Verdict, found: Sequence[Difference]) -> Iterator[str]:
-    """The verdict for a person: what agreed and how, the first divergence, and what is not as it was in the run."""
+    """The verdict as lines: what agreed and how, the first divergence, and what differs from the machine of the run."""
     if verdict.agrees:
         yield f"all {verdict.updates} updates agree{_how(verdict)}"
     elif verdict.divergence is not None:

@@ -1,1 +1,1 @@
-"""`reskpn doctor`: what would keep a run from working on this machine, before it is started."""
+"""`reskpn doctor`: find what would keep a run from working on this machine, before it is started."""

@@ -1,4 +1,4 @@
-"""Checks of JAX and the physics engines. All imports are inside: that they fail is what may be found."""
+"""Checks of JAX and the physics engines. Imports are inside the checks, since a failing import is a finding."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from reskpn.doctor.findings import Finding
 
 TASK = "inverted_pendulum"
 STEPPED = 4
-"""Environments of the step that is tried."""
+"""Environments of the trial step."""
 
 
 def check_jax() -> Finding:
-    """JAX starts, and on which devices."""
+    """Start JAX and name its devices."""
     from common.physics.engines import require_synchronous_dispatch
 
     require_synchronous_dispatch()
@@ -27,23 +27,23 @@ def check_jax() -> Finding:
 
 
 def check_native() -> Finding:
-    """One step of a small task with MuJoCo's C engine."""
+    """Take a step of a small task with MuJoCo's C engine."""
     seconds = step_once("native")
     return Finding("native", "ok", f"steps {TASK} (first step {seconds:.1f} s)", figures={"first_step_s": seconds})
 
 
 def check_mjx(*, full: bool) -> Finding:
-    """MJX is there; with `full` it also compiles and takes a step, which may take a minute."""
+    """Import MJX; with `full` also compile and take a step, which may take a minute."""
     if not full:
         from common.physics import libraries
 
-        return Finding("mjx", "ok", f"{libraries.mjx.__name__} can be imported; --full compiles a step, too")
+        return Finding("mjx", "ok", f"{libraries.mjx.__name__} can be imported; --full also compiles a step")
     seconds = step_once("mjx")
     return Finding("mjx", "ok", f"steps {TASK} (first step {seconds:.1f} s)", figures={"first_step_s": seconds})
 
 
 def step_once(physics: str) -> float:
-    """Seconds to reset a few environments and step them once; PhysicsError where they do not move as they should."""
+    """Seconds to reset a few environments and step them once; PhysicsError if they do not move plausibly."""
     import jax
     import jax.numpy as jnp
 
@@ -62,7 +62,7 @@ def step_once(physics: str) -> float:
     before, after = jax.device_get(jax.jit(one)(jax.random.key(0)))
     finite = bool(abs(after).max() < 1e6)  # false for NaN, too
     if not finite or bool((before == after).all()):
-        raise PhysicsError(f"physics '{physics}' gives no motion that makes sense; install mujoco and brax again")
+        raise PhysicsError(f"physics '{physics}' gives no plausible motion; reinstall mujoco and brax")
     return time.perf_counter() - began_s
 
 

@@ -1,4 +1,4 @@
-"""All checks in their order, printed as they come."""
+"""All checks in order, printed as they are made."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROBLEM = 1
 
 
 def doctor(settings: RunSettings, *, as_json: bool, full: bool) -> int:
-    """Print the findings, one a line or as one JSON object; returns 0, or 1 where there is a problem."""
+    """Print the findings, one a line or as one JSON object; returns 0, or 1 if there is a problem."""
     found = []
     for finding in examine(settings, full=full):
         found.append(finding)

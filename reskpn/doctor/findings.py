@@ -1,4 +1,4 @@
-"""What a check finds: one line each."""
+"""The result of a check: one line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Level = Literal["ok", "warning", "problem"]
 
 @dataclass(frozen=True)
 class Finding:
-    """`text` says what was found, `advice` what to do about it; `figures` are for machines, units in their names."""
+    """One result: what was found, what to do about it, and figures for machines with units in their names."""
 
     name: str
     level: Level
@@ -28,7 +28,7 @@ class Finding:
 
 
 def guarded(name: str, check: Callable[[], Finding]) -> Finding:
-    """The check's finding; a check that fails is a problem by itself, and the others go on."""
+    """The check's finding; a check that raises is a problem in itself, and the others continue."""
     try:
         return check()
     except ReskpnError as error:

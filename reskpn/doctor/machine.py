@@ -23,26 +23,26 @@ PACKAGE = "reskpn"
 SYNC_BYTES = 1 << 20
 SYNCS = 8
 SLOW_SYNC_S = 0.25
-"""The log is synced once a second, and answers nobody meanwhile."""
+"""The log is synced once a second, and no rollout is acknowledged meanwhile."""
 
 MEMINFO = Path("/proc/meminfo")
 CGROUP = Path("/sys/fs/cgroup")
 
 
 def check_python() -> Finding:
-    """The version, against what the package requires."""
+    """Compare Python's version with what the package requires."""
     version = platform.python_version()
     try:
         wanted = metadata.metadata(PACKAGE)["Requires-Python"]
     except metadata.PackageNotFoundError:
         return Finding("python", "warning", f"{version}; {PACKAGE} is not installed here", "run make setup")
     if not Requirement(f"python{wanted}").specifier.contains(version):
-        return Finding("python", "problem", f"{version} where {wanted} is needed", "make setup PYTHON=python3.11")
+        return Finding("python", "problem", f"{version}, but {wanted} is needed", "make setup PYTHON=python3.11")
     return Finding("python", "ok", f"{version} ({wanted} is needed)")
 
 
 def check_packages() -> Finding:
-    """Every package that is required, in a version that is allowed."""
+    """Look for every required package in an allowed version."""
     try:
         wanted = [Requirement(text) for text in metadata.requires(PACKAGE) or []]
     except metadata.PackageNotFoundError:
@@ -51,7 +51,7 @@ def check_packages() -> Finding:
     wrong = [fault for requirement in wanted if (fault := _fault(requirement))]
     if wrong:
         return Finding("packages", "problem", ", ".join(wrong), "run make setup")
-    return Finding("packages", "ok", f"all {len(wanted)} in versions that fit")
+    return Finding("packages", "ok", f"all {len(wanted)} have versions that fit")
 
 
 def _fault(requirement: Requirement) -> str:
@@ -60,12 +60,12 @@ def _fault(requirement: Requirement) -> str:
     except metadata.PackageNotFoundError:
         return f"{requirement.name} is missing"
     if not requirement.specifier.contains(found, prereleases=True):
-        return f"{requirement.name} {found} where {requirement.specifier} is needed"
+        return f"{requirement.name} {found}, but {requirement.specifier} is needed"
     return ""
 
 
 def check_memory(needs: Needs) -> Finding:
-    """Memory that is free, against all processes of the run on this machine."""
+    """Compare the free memory with what all processes of the run take."""
     free = available_memory()
     if free is None:
         return Finding("memory", "warning", f"cannot be read here; the run takes about {size(needs.memory)}")
@@ -78,7 +78,7 @@ def check_memory(needs: Needs) -> Finding:
 
 
 def available_memory() -> float | None:
-    """Bytes that processes may still take: the machine's, or what the container leaves; None where not known."""
+    """Bytes that processes may still take, of the machine or within the container's limit; None if not known."""
     try:
         lines = dict(line.split(":", 1) for line in MEMINFO.read_text().splitlines() if ":" in line)
         free = float(lines["MemAvailable"].split()[0]) * 1024
@@ -93,24 +93,24 @@ def available_memory() -> float | None:
 
 
 def check_disk(settings: RunSettings, needs: Needs) -> Finding:
-    """Space where the run directory will be, against what the run will write."""
+    """Compare the free disk space at the run directory with what the run will write."""
     folder = home(settings)
     if settings.run_dir and any((settings.run_dir / name).exists() for name in (SUMMARY, SETTINGS, LOG_DIRECTORY)):
         return Finding("disk", "warning", f"{settings.run_dir} holds a run", "a new run needs another --run-dir")
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        return Finding("disk", "problem", f"{folder} cannot be written", "choose another place with --run-dir")
+        return Finding("disk", "problem", f"{folder} cannot be written", "choose another directory with --run-dir")
     free = float(shutil.disk_usage(folder).free)
     text = f"{size(free)} free at {folder}; this run writes about {size(needs.log)}"
     figures = {"free_bytes": free, "needed_bytes": needs.log}
     if free < needs.log:
-        return Finding("disk", "problem", text, "free some, or choose another disk with --run-dir", figures)
+        return Finding("disk", "problem", text, "free some space, or choose another disk with --run-dir", figures)
     if free < 1.5 * needs.log:
-        return Finding("disk", "warning", text, "that leaves little", figures)
+        return Finding("disk", "warning", text, "little will be left", figures)
     return Finding("disk", "ok", text, figures=figures)
 
 
 def check_writing(settings: RunSettings) -> Finding:
-    """How long the disk of the run directory takes to make a megabyte safe, eight times."""
+    """Measure how long the disk of the run directory takes to sync a megabyte, eight times."""
     folder = home(settings)
     block = os.urandom(SYNC_BYTES)
     seconds = []
@@ -123,18 +123,18 @@ def check_writing(settings: RunSettings) -> Finding:
                 os.fsync(file.fileno())
                 seconds.append(time.perf_counter() - began_s)
     except OSError as error:
-        advice = "choose another place with --run-dir"
+        advice = "choose another directory with --run-dir"
         return Finding("writing", "problem", f"{folder}: {error.strerror}", advice)
     middle, worst = statistics.median(seconds), max(seconds)
-    text = f"1 MB is safe in {1e3 * middle:.1f} ms, at worst {1e3 * worst:.1f} ms"
+    text = f"syncing 1 MB takes {1e3 * middle:.1f} ms, at worst {1e3 * worst:.1f} ms"
     figures = {"median_s": middle, "worst_s": worst}
     if worst > SLOW_SYNC_S:
-        return Finding("writing", "warning", text, "actors wait for a slow disk; a local one is better", figures)
+        return Finding("writing", "warning", text, "actors wait for a slow disk; use a local one", figures)
     return Finding("writing", "ok", text, figures=figures)
 
 
 def home(settings: RunSettings) -> Path:
-    """The nearest folder above the run's files that is there already."""
+    """The nearest existing folder above the run's files."""
     folder = (settings.run_dir or Path("runs")).absolute()
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent

@@ -1,4 +1,4 @@
-"""What a run will need of a machine, worked out from its settings."""
+"""Disk and memory that a run will need, estimated from its settings."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def needs(settings: RunSettings, policy_bytes: int, state_bytes: int) -> Needs:
         + policies * policy_bytes
         + KEPT_CHECKPOINTS * state_bytes
     )
-    # A rollout is there as arrays, as a message, and in the queue; the batch once more for the update. What waits in
-    # async mode is there as arrays.
+    # A rollout is held as arrays, as a message, and in the queue, and the batch once more for the update. Rollouts
+    # that wait in async mode are held as arrays.
     batch = (4 + settings.staleness) * settings.actors * rollout_bytes(settings)
     memory = (1 + settings.actors) * (PROCESS_BYTES + policy_bytes) + 2 * state_bytes + batch
     return Needs(log=float(log), memory=memory)

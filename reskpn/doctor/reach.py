@@ -20,7 +20,7 @@ from reskpn.doctor.findings import Finding, size
 
 CONNECT_S = 2.0
 FAR_S = 1.0
-"""By how much two clocks may differ: records are ordered by hand only beyond this."""
+"""Largest harmless difference of two clocks, in seconds: beyond it, times in the log mislead."""
 
 BULK_BYTES = 22_000_000
 """A rollout of 512 humanoid environments is about this large."""
@@ -32,7 +32,7 @@ _PROBE = "reskpn/v1/doctor"
 
 @dataclass(frozen=True)
 class Answer:
-    """A learner's report, and by how much its clock is ahead of this machine's, give or take `unsure_s`."""
+    """A learner's report, and the seconds that its clock is ahead of this machine's, to within `unsure_s`."""
 
     report: RunReport
     ahead_s: float
@@ -40,9 +40,11 @@ class Answer:
 
 
 def ask_learner(endpoint: str, timeout_s: float = CONNECT_S, credentials: Credentials = NOBODY) -> Answer:
-    """Raises `WireError` where no learner answers."""
+    """Ask the learner at an endpoint for its report and its time; WireError if none answers."""
     with connect(endpoint, timeout_s, credentials) as session:
-        ask(session, endpoint, timeout_s)  # what is served there is known from here on: the next takes one round trip
+        ask(
+            session, endpoint, timeout_s
+        )  # the learner's endpoints are known from here on: the next question takes one round trip
         asked_ns = time.time_ns()
         report = ask(session, endpoint, timeout_s)
         answered_ns = time.time_ns()
@@ -51,14 +53,14 @@ def ask_learner(endpoint: str, timeout_s: float = CONNECT_S, credentials: Creden
 
 
 def check_port(endpoint: str, credentials: Credentials = NOBODY) -> tuple[Finding, Answer | None]:
-    """Whether a learner can listen there, or which one does.
+    """Find out whether a learner can listen at an address, or which one does; also returns its answer.
 
     Raises `SessionError` for what is not an address, and `SettingsError` for credentials that cannot be used there.
     """
     credentials.options([], [endpoint])
     state = port_state(Endpoint.parse(endpoint))
     if state == "free":
-        return Finding("port", "ok", f"{endpoint} is free: no learner is there, one can be started"), None
+        return Finding("port", "ok", f"{endpoint} is free: no learner runs there, and one can be started"), None
     if state == "unknown":
         return Finding("port", "problem", f"the host of {endpoint} is not known", "check its name"), None
     try:
@@ -67,8 +69,8 @@ def check_port(endpoint: str, credentials: Credentials = NOBODY) -> tuple[Findin
         return Finding("port", "problem", f"{endpoint}: {error}"), None
     except WireError as error:
         if state == "taken":
-            text = f"{endpoint} is taken, and who has it does not answer as a learner of this release"
-            return Finding("port", "problem", text, "wait if a learner is starting, or choose another port"), None
+            text = f"{endpoint} is in use by a process that does not answer as a learner of this release"
+            return Finding("port", "problem", text, "wait if a learner is starting there, or choose another port"), None
         return Finding("port", "warning", printable(str(error), 500)), None
     report = answer.report
     text = f"{endpoint}: the learner of {report.run} answers, with {len(report.actors)} of {report.slots} actors"
@@ -76,7 +78,7 @@ def check_port(endpoint: str, credentials: Credentials = NOBODY) -> tuple[Findin
 
 
 def port_state(endpoint: Endpoint) -> str:
-    """Of its address: "free" or "taken" on this machine, "elsewhere", or "unknown" where there is no such host."""
+    """State of an address: "free" or "taken" on this machine, "elsewhere", or "unknown" if there is no such host."""
     try:
         family, _, _, _, address = socket.getaddrinfo(endpoint.host, endpoint.port, type=socket.SOCK_STREAM)[0]
     except OSError:
@@ -91,7 +93,7 @@ def port_state(endpoint: Endpoint) -> str:
 
 
 def check_clock(answer: Answer | None) -> Finding:
-    """This machine's clock against the learner's."""
+    """Compare this machine's clock with the learner's."""
     if answer is None:
         return Finding("clock", "ok", time.strftime("%Y-%m-%d %H:%M:%S %Z; no learner to compare it with"))
     figures = {"ahead_s": answer.ahead_s, "unsure_s": answer.unsure_s}
@@ -103,7 +105,7 @@ def check_clock(answer: Answer | None) -> Finding:
 
 
 def check_zenoh(count: int = 20, bulk_bytes: int = BULK_BYTES) -> Finding:
-    """Small questions and a large message on loopback, in this process."""
+    """Measure small requests and large messages on loopback, in this process."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     limit = bulk_bytes + (1 << 20)
     with open_session(listen=[endpoint], max_message_size=limit) as server:
@@ -122,7 +124,7 @@ def check_zenoh(count: int = 20, bulk_bytes: int = BULK_BYTES) -> Finding:
 
 
 def _until_served(client: Session) -> None:
-    """What the other side serves is known a moment after the connection."""
+    """Wait until the other side's endpoint is known, shortly after the connection."""
     deadline = time.monotonic() + 10.0
     while True:
         try:

@@ -1,4 +1,4 @@
-"""How a service is told to stop: by a signal, or by the end of its supervisor."""
+"""Stopping a service: by a signal, or with its supervisor."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def stopping(*, supervised: bool) -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set, and a second signal ends the process at once.
+    """An event that SIGINT and SIGTERM set; a second signal ends the process at once.
 
-    A supervised process also stops when its standard input ends, as it does however its supervisor ends.
+    A supervised process also stops when its standard input ends, which happens however its supervisor ends.
     """
     stop = threading.Event()
 

@@ -1,10 +1,10 @@
-"""The tasks by name, and the sentence for a name that is none. (Their sizes are checked with the physics.)"""
+"""The tasks by name. (Their sizes are checked with the physics.)"""
 
 from __future__ import annotations
 
 import pytest
 
-from common.tasks import EPISODE_LENGTH, TASKS, Task, unknown_name
+from common.tasks import EPISODE_LENGTH, TASKS, Task
 
 
 def test_the_eight_tasks_of_the_paper() -> None:
@@ -31,24 +31,3 @@ def test_the_eight_tasks_of_the_paper() -> None:
 def test_sizes(name: str, observation_size: int, action_size: int) -> None:
     """O and A, which networks and messages are made by."""
     assert TASKS[name] == Task(name, observation_size, action_size)
-
-
-@pytest.mark.parametrize(
-    ("given", "near"),
-    [("hoper", "hopper"), ("Hopper", "hopper"), ("half_cheetah", "halfcheetah"), ("walker", "walker2d")],
-)
-def test_a_misspelled_name_is_answered_with_the_nearest(given: str, near: str) -> None:
-    """Whatever its case, together with all that are allowed."""
-    assert unknown_name("task", given, TASKS) == (
-        f"{given!r} is not a task; did you mean {near!r}? allowed: {', '.join(TASKS)}"
-    )
-
-
-def test_a_name_like_no_other_is_answered_with_all() -> None:
-    """No guess where nothing is near."""
-    assert unknown_name("colour", "qqq", iter(["red", "green"])) == "'qqq' is not a colour; allowed: red, green"
-
-
-def test_the_nearest_name_keeps_its_case() -> None:
-    """The answer can be typed as it stands."""
-    assert "did you mean 'RESKPN_TASK'?" in unknown_name("setting", "reskpn_tusk", ["RESKPN_TASK"])

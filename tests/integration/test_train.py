@@ -172,7 +172,7 @@ def test_killed_actor_does_not_stop_a_run(tmp_path: Path) -> None:
         os.kill(training.children()["actor"][0], signal.SIGKILL)
         code, output = training.finish()
     assert code == 0, output
-    assert "starting it again" in output
+    assert "restarting it" in output
     assert training.summary["updates"] == 150
     events = [message.json()["name"] for message in LogReader(training.run_dir).messages(["/event"])]
     assert "actor_lost" in events

@@ -92,9 +92,9 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert "train on this machine: a learner and its actors as processes on loopback" in out
     assert "serve one training run; actors connect to it" in out
     assert "collect experience for a learner, from this machine or another" in out
-    assert "ask a learner, from any machine that reaches it, how its run and every actor are" in out
+    assert "show how a run and each of its actors are doing, from any machine that reaches the learner" in out
     assert "check this machine before a run" in out
-    assert "check a recorded run, or make other use of its log" in out
+    assert "verify a recorded run, or use its log: extract, publish, train another learner" in out
 
 
 @pytest.mark.parametrize("command", ["train", "learner", "doctor"])
@@ -145,12 +145,9 @@ def test_help_of_an_actor(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ([], "the following arguments are required: {train,learner,actor,evaluator,status,doctor,replay,certs,router}"),
         (["trian"], "invalid choice: 'trian'"),
-        (["train", "--algorithm.gama", "1"], "unrecognized arguments: --algorithm.gama 1"),
-        (["train", "--ta", "hopper"], "unrecognized arguments: --ta hopper"),
         (["train", "--seed"], "argument --seed: expected one argument"),
         (["actor", "--physics", "quick"], "argument --physics: invalid choice: 'quick'"),
         (["actor", "--threads", "all"], "argument --threads: invalid int value: 'all'"),
-        (["actor", "--seed", "3"], "unrecognized arguments: --seed 3"),
     ],
 )
 def test_words_that_are_no_options(
@@ -161,6 +158,37 @@ def test_words_that_are_no_options(
     assert (code, out) == (2, "")
     assert why in err
     assert trained == []
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["train", "--algorithm.gama", "1"], "--algorithm.gama {} of `reskpn train`; did you mean --algorithm.gamma?"),
+        (["train", "--algorithm.lr=1"], "--algorithm.lr {} of `reskpn train`; did you mean --algorithm.learning-rate?"),
+        (["train", "--num_envs", "4"], "--num_envs {} of `reskpn train`; did you mean --num-envs?"),
+        (["train", "--ta", "hopper"], "--ta {} of `reskpn train`; did you mean --task?"),
+        (["train", "--resum", "x"], "--resum {} of `reskpn train`; did you mean --resume?"),
+        (["train", "--zzz"], "--zzz {} of `reskpn train`; `reskpn train --help` lists all of them"),
+        (["train", "hopper"], "hopper {} of `reskpn train`; `reskpn train --help` lists all of them"),
+        (["actor", "--seed", "3"], "--seed {} of `reskpn actor`; `reskpn actor --help` lists all of them"),
+        (["status", "--endpont", "x"], "--endpont {} of `reskpn status`; did you mean --endpoint?"),
+    ],
+)
+def test_options_that_are_mistyped(said: Said, trained: list[RunSettings], words: list[str], sentence: str) -> None:
+    """Answered with the nearest option of the command, in one sentence; never guessed from their beginning."""
+    assert said(*words) == (2, sentence.format("(from the command line) is not an option"))
+    assert trained == []
+
+
+def test_a_combination_is_told_with_its_sources(
+    said: Said, trained: list[RunSettings], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each setting that the sentence names, and none that it does not name."""
+    monkeypatch.setenv("RESKPN_NUM_ENVS", "63")
+    monkeypatch.setenv("RESKPN_SEED", "3")
+    code, text = said("train", "--actors", "2")
+    assert code == 2
+    assert text.endswith(" (actors is from the command line, num_envs is from the environment)")
 
 
 # -- settings ----------------------------------------------------------------------------------------------
@@ -210,7 +238,7 @@ def test_a_typing_error_in_the_environment(said: Said, trained: list[RunSettings
     for command in ("train", "learner", "actor"):
         code, text = said(command)
         assert code == 2
-        assert text.startswith("'RESKPN_TSAK' is not a setting (environment); did you mean 'RESKPN_TASK'? ")
+        assert text == "RESKPN_TSAK (from the environment) is not a setting; did you mean RESKPN_TASK?"
 
 
 @pytest.mark.parametrize(

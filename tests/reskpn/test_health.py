@@ -64,8 +64,8 @@ def test_a_learner_that_does_not_answer(endpoint: str, capsys: pytest.CaptureFix
         ("standing by", -1, 0.0, 0, "the actor stands by: all slots are taken"),
         ("compiling", -1, 0.0, 1, "the actor has no policy yet (compiling)"),
         ("alone", -1, 0.0, 1, "the actor has no policy yet (alone)"),
-        ("collecting", 12, 40.0, 1, "the actor gave its last sign of life 40 s ago (collecting)"),
-        ("standing by", -1, 40.0, 1, "the actor gave its last sign of life 40 s ago (standing by)"),
+        ("collecting", 12, 40.0, 1, "the actor last reported 40 s ago (collecting)"),
+        ("standing by", -1, 40.0, 1, "the actor last reported 40 s ago (standing by)"),
     ],
 )
 def test_actors(
@@ -104,6 +104,6 @@ def test_a_router_that_lets_in_is_well(endpoint: str, capsys: pytest.CaptureFixt
     """Without a learner behind it, too; where nothing listens it is not well."""
     with open_session(listen=[endpoint], max_message_size=1 << 20, options={"mode": "router"}):
         assert main(["router", "--endpoint", endpoint, "--timeout", "15"]) == 0
-    assert capsys.readouterr().out == f"the router at {endpoint} lets in who has credentials\n"
+    assert capsys.readouterr().out == f"the router at {endpoint} accepts connections\n"
     assert main(["router", "--endpoint", endpoint, "--timeout", "0.2"]) == 1
-    assert f"lets nobody in: no connection to {endpoint} within 0.2 s" in capsys.readouterr().out
+    assert f"accepts no connection: no connection to {endpoint} within 0.2 s" in capsys.readouterr().out

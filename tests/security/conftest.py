@@ -17,10 +17,10 @@ from reskpn.authority import Authority, make_all
 
 @pytest.fixture(scope="session")
 def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`learner`, `actor`, `viewer`; `other` is vouched for and has no role."""
+    """`learner`, `actor`, `viewer`; `other` has a certificate and no role."""
     out = tmp_path_factory.mktemp("certificates")
     make_all(out, ["learner.example"], days=1)
-    Authority.load(out).vouch("other", 1)
+    Authority.load(out).issue("other", 1)
     return out
 
 

@@ -5,7 +5,7 @@ The fleet decides about rollouts by itself, since its answer depends on what cam
 
 from __future__ import annotations
 
-from common.config.settings import PHYSICS
+from common.engine_names import PHYSICS
 from common.errors import CodecError
 from common.wire.keys import Keys
 from common.wire.messages import Evaluation, Heartbeat, Join

@@ -124,7 +124,7 @@ def test_digits_are_exact(seed: int) -> None:
         ({"algorithm": {"gamma": 1.01}}, "less than or equal to 1"),
         ({"algorithm": {"learning_rate": 0}}, "greater than 0"),
         ({"algorithm": {"learning_rate": float("nan")}}, "finite number"),
-        ({"algorithm": {"hidden": []}}, "needs at least one layer, for example [256, 256]"),
+        ({"algorithm": {"hidden": []}}, "needs at least one layer, for example 256,256"),
         ({"algorithm": {"hidden": [8, 0]}}, "greater than or equal to 1"),
         ({"rkhs": {"momentum": 1.0}}, "less than 1"),
         ({"rkhs": {"bandwidth": 0}}, "greater than 0"),

@@ -46,15 +46,15 @@ def test_what_is_made(out: Path) -> None:
 
 
 def test_who_may_be_a_server(out: Path) -> None:
-    """The learner alone, under the names it was made for; none of them vouches for others."""
+    """The learner alone, under the names it was made for; none of them may sign others."""
     client, server = ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH
     assert uses(read(out / "learner")) == {client, server}
     assert uses(read(out / "actor")) == uses(read(out / "viewer")) == {client}
     names = read(out / "learner").extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert "learner.example" in names.get_values_for_type(x509.DNSName)
     assert ip_address("10.0.0.5") in names.get_values_for_type(x509.IPAddress)
-    for role, vouches in (("learner", False), ("actor", False)):
-        assert read(out / role).extensions.get_extension_for_class(x509.BasicConstraints).value.ca is vouches
+    for role, signs in (("learner", False), ("actor", False)):
+        assert read(out / role).extensions.get_extension_for_class(x509.BasicConstraints).value.ca is signs
     assert read(out / "authority", "ca.crt").extensions.get_extension_for_class(x509.BasicConstraints).value.ca
 
 
@@ -69,8 +69,8 @@ def test_one_more(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--hosts", "learner"], "authority is there already, and is not overwritten"),
-        (["--add", "actor"], "actor is there already"),
+        (["--hosts", "learner"], "authority exists and is not overwritten"),
+        (["--add", "actor"], "actor exists and is not overwritten"),
         (["--add", "a/b"], "'a/b' cannot be a name"),
         (["--add", "authority"], "'authority' cannot be a name"),
         (["--add", "new", "--days", "0"], "--days 0: certificates are made for 1 to 3650 days"),

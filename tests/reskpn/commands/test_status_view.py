@@ -31,7 +31,7 @@ def test_a_learner_that_is_at_work() -> None:
     """It waits for nothing; how old the figures are is said once it matters."""
     lines = head(report(progress=progress(age_s=75.0)))
     assert lines[1].endswith("actors 2/2 (reported 75 s ago)")
-    assert lines[2] == "all rollouts are there: the learner is at work"
+    assert lines[2] == "all rollouts have arrived: the learner is computing"
 
 
 def test_a_learner_that_has_just_begun() -> None:

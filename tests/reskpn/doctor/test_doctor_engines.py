@@ -31,7 +31,7 @@ def test_the_native_engine_takes_a_step() -> None:
 
 def test_mjx_is_imported_and_not_compiled() -> None:
     """Unless it is asked for."""
-    assert check_mjx(full=False).text == "mujoco.mjx can be imported; --full compiles a step, too"
+    assert check_mjx(full=False).text == "mujoco.mjx can be imported; --full also compiles a step"
 
 
 @pytest.mark.parametrize("after", [0.0, float("nan"), 1e30])
@@ -44,7 +44,7 @@ def test_an_engine_that_does_not_move_as_it_should(monkeypatch: pytest.MonkeyPat
         return SimpleNamespace(reset=lambda key: state, step=lambda state, action: (moved, None))
 
     monkeypatch.setattr(common.physics.environments, "make_environment", make)
-    with pytest.raises(PhysicsError, match="physics 'native' gives no motion that makes sense"):
+    with pytest.raises(PhysicsError, match="physics 'native' gives no plausible motion"):
         step_once("native")
     assert guarded("native", check_native).level == "problem"
 

@@ -43,7 +43,7 @@ def test_an_old_python(monkeypatch: pytest.MonkeyPatch) -> None:
     """Named with what is needed."""
     monkeypatch.setattr(machine.platform, "python_version", lambda: "3.9.2")
     found = check_python()
-    assert (found.level, found.text) == ("problem", "3.9.2 where >=3.11 is needed")
+    assert (found.level, found.text) == ("problem", "3.9.2, but >=3.11 is needed")
 
 
 def test_packages_that_do_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,7 +61,7 @@ def test_packages_that_do_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     found = check_packages()
     assert (found.level, found.text, found.advice) == (
         "problem",
-        "jax 0.4.30 where <0.13,>=0.10 is needed, there-is-no-such-package is missing",
+        "jax 0.4.30, but <0.13,>=0.10 is needed, there-is-no-such-package is missing",
         "run make setup",
     )
 
@@ -147,4 +147,4 @@ def test_a_slow_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter([0.0, 0.01] * 7 + [0.0, 0.5])
     monkeypatch.setattr(machine.time, "perf_counter", lambda: next(times))
     found = check_writing(settings(run_dir=tmp_path))
-    assert (found.level, found.text) == ("warning", "1 MB is safe in 10.0 ms, at worst 500.0 ms")
+    assert (found.level, found.text) == ("warning", "syncing 1 MB takes 10.0 ms, at worst 500.0 ms")

@@ -41,7 +41,7 @@ def test_a_free_port(endpoint: str) -> None:
     """Nobody is asked."""
     found, answer = check_port(endpoint)
     assert (found.level, answer) == ("ok", None)
-    assert found.text == f"{endpoint} is free: no learner is there, one can be started"
+    assert found.text == f"{endpoint} is free: no learner runs there, and one can be started"
 
 
 def test_credentials_are_looked_at_first(endpoint: str, tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_another_program_at_the_port(monkeypatch: pytest.MonkeyPatch) -> None:
         endpoint = f"tcp/127.0.0.1:{other.getsockname()[1]}"
         found, answer = check_port(endpoint)
     assert (found.level, answer) == ("problem", None)
-    assert found.text == f"{endpoint} is taken, and who has it does not answer as a learner of this release"
+    assert found.text == f"{endpoint} is in use by a process that does not answer as a learner of this release"
 
 
 def test_a_learner_of_another_release(endpoint: str) -> None:

@@ -17,13 +17,18 @@ from common.config.settings import RunSettings
 from common.config.sources import load
 from common.errors import ProcessError, SettingsError
 from common.wire.endpoint import Endpoint
-from reskpn.supervision import supervisor as train_module
-from reskpn.supervision.supervisor import QUICK_DEATHS, ActorSupervisor, resolved, train
+from reskpn.supervision import actors as actors_module
+from reskpn.supervision import processes as processes_module
+from reskpn.supervision.actors import QUICK_EXITS, ActorSupervisor
+from reskpn.supervision.supervisor import resolved, train
 
 DEADLINE_S = 20.0
 
 STAYS = "cat"
 """A process that lives until it is asked to stop, which is when its standard input ends."""
+
+
+Supervisors = Callable[..., ActorSupervisor]
 
 
 @pytest.fixture
@@ -45,14 +50,16 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Puts shell scripts in the places of `reskpn learner` and `reskpn actor`; $2 is the first option's value."""
 
     def put(**scripts: str) -> None:
-        monkeypatch.setattr(train_module, "_reskpn", lambda command: ["/bin/sh", "-c", scripts[command], command])
+        monkeypatch.setattr(
+            processes_module, "reskpn_command", lambda command: ["/bin/sh", "-c", scripts[command], command]
+        )
 
     return put
 
 
 @pytest.fixture
-def crews(tmp_path: Path) -> Iterator[Callable[..., ActorSupervisor]]:
-    """Makes the crew of a run; ended after the test."""
+def supervisors(tmp_path: Path) -> Iterator[Supervisors]:
+    """Makes the supervisor of a run's actors; stopped after the test."""
     made: list[ActorSupervisor] = []
 
     def make(actors: int = 1) -> ActorSupervisor:
@@ -60,12 +67,12 @@ def crews(tmp_path: Path) -> Iterator[Callable[..., ActorSupervisor]]:
         return made[-1]
 
     yield make
-    for crew in made:
-        crew.end()
+    for supervisor in made:
+        supervisor.stop()
 
 
-def processes(crew: ActorSupervisor) -> list[subprocess.Popen[bytes]]:
-    return [post.process for post in crew.posts if post.process is not None]
+def processes(supervisor: ActorSupervisor) -> list[subprocess.Popen[bytes]]:
+    return [actor.process for actor in supervisor.actors if actor.process is not None]
 
 
 # -- settings ----------------------------------------------------------------------------------------------
@@ -113,162 +120,162 @@ def test_everything_else_stays(tmp_path: Path) -> None:
 # -- the actors --------------------------------------------------------------------------------------------
 
 
-def test_all_actors_are_started_at_once(stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor]) -> None:
+def test_all_actors_are_started_at_once(stand_in: Callable[..., None], supervisors: Supervisors) -> None:
     """Beside the learner, for which they wait by themselves."""
     stand_in(actor=STAYS)
-    crew = crews(4)
-    assert processes(crew) == []
-    crew.keep_up()
-    assert len({process.pid for process in processes(crew)}) == 4
+    supervisor = supervisors(4)
+    assert processes(supervisor) == []
+    supervisor.keep_alive()
+    assert len({process.pid for process in processes(supervisor)}) == 4
 
 
-def test_actors_that_live_are_left_alone(stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor]) -> None:
+def test_actors_that_live_are_left_alone(stand_in: Callable[..., None], supervisors: Supervisors) -> None:
     """However often they are looked after."""
     stand_in(actor=STAYS)
-    crew = crews(2)
-    crew.keep_up()
-    first = processes(crew)
-    crew.keep_up()
-    assert processes(crew) == first
+    supervisor = supervisors(2)
+    supervisor.keep_alive()
+    first = processes(supervisor)
+    supervisor.keep_alive()
+    assert processes(supervisor) == first
     assert [process.poll() for process in first] == [None, None]
 
 
 def test_an_actor_that_has_left_is_not_missed(
-    stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor], until: Callable[..., None]
+    stand_in: Callable[..., None], supervisors: Supervisors, until: Callable[..., None]
 ) -> None:
     """Exit code 0 means that the run is over."""
     stand_in(actor="exit 0")
-    crew = crews()
-    crew.keep_up()
-    (process,) = processes(crew)
+    supervisor = supervisors()
+    supervisor.keep_alive()
+    (process,) = processes(supervisor)
     assert process.wait(DEADLINE_S) == 0
-    crew.keep_up()
-    assert processes(crew) == [process]
+    supervisor.keep_alive()
+    assert processes(supervisor) == [process]
 
 
 @pytest.mark.parametrize(("script", "how"), [("kill -9 $$", "signal 9"), ("exit 3", "exit code 3")])
 def test_an_actor_that_died_is_started_again(
     stand_in: Callable[..., None],
-    crews: Callable[..., ActorSupervisor],
+    supervisors: Supervisors,
     capsys: pytest.CaptureFixture[str],
     script: str,
     how: str,
 ) -> None:
     """The user is told of it; the others go on."""
     stand_in(actor=STAYS)
-    crew = crews(2)
-    crew.keep_up()
-    well, ill = processes(crew)
+    supervisor = supervisors(2)
+    supervisor.keep_alive()
+    well, ill = processes(supervisor)
     ill.kill()
     ill.wait(DEADLINE_S)
     stand_in(actor=script)
-    crew.keep_up()
-    assert "actor 1 ended with signal 9; starting it again\n" in capsys.readouterr().err
-    assert processes(crew)[0] is well
-    again = processes(crew)[1]
+    supervisor.keep_alive()
+    assert "actor 1 ended with signal 9; restarting it\n" in capsys.readouterr().err
+    assert processes(supervisor)[0] is well
+    again = processes(supervisor)[1]
     assert again is not ill
     again.wait(DEADLINE_S)
     stand_in(actor=STAYS)
-    crew.keep_up()
-    assert f"actor 1 ended with {how}; starting it again\n" in capsys.readouterr().err
+    supervisor.keep_alive()
+    assert f"actor 1 ended with {how}; restarting it\n" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("code", [2, 4, 6])
 def test_an_actor_that_will_never_work_ends_the_run(
-    stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor], code: int
+    stand_in: Callable[..., None], supervisors: Supervisors, code: int
 ) -> None:
-    """A setting, a refusal or an engine that is missing is the same the next time: its last words are the reason."""
+    """A setting, a refusal or an engine that is missing is the same the next time: the end of its log file says why."""
     stand_in(actor=f"for i in 1 2 3 4 5 6; do echo word $i; done; echo reason >&2; exit {code}")
-    crew = crews()
-    crew.keep_up()
-    processes(crew)[0].wait(DEADLINE_S)
+    supervisor = supervisors()
+    supervisor.keep_alive()
+    processes(supervisor)[0].wait(DEADLINE_S)
     with pytest.raises(ProcessError) as ended:
-        crew.keep_up()
-    words = crew._run_dir / "processes" / "actor-0.txt"
+        supervisor.keep_alive()
+    log_file = supervisor.log_file(supervisor.actors[0])
     assert str(ended.value) == (
-        f"actor 0 ended with exit code {code} and will not recover; its last words ({words}):\n"
+        f"actor 0 ended with exit code {code} and is not restarted; the end of its log file ({log_file}):\n"
         "  word 3\n  word 4\n  word 5\n  word 6\n  reason"
     )
-    assert words.read_text().splitlines()[0] == "word 1"
+    assert log_file.read_text().splitlines()[0] == "word 1"
 
 
-def die(crew: ActorSupervisor) -> None:
+def die(supervisor: ActorSupervisor) -> None:
     """Have the one actor started, and wait for its end."""
-    crew.keep_up()
-    processes(crew)[0].wait(DEADLINE_S)
+    supervisor.keep_alive()
+    processes(supervisor)[0].wait(DEADLINE_S)
 
 
 def test_an_actor_that_dies_again_and_again_ends_the_run(
-    stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor]
+    stand_in: Callable[..., None], supervisors: Supervisors
 ) -> None:
     """Three quick deaths on end are enough."""
     stand_in(actor="echo no; exit 9")
-    crew = crews()
-    for _ in range(QUICK_DEATHS):
-        die(crew)
-    with pytest.raises(ProcessError, match=r"actor 0 ended with exit code 9 and will not recover"):
-        crew.keep_up()
+    supervisor = supervisors()
+    for _ in range(QUICK_EXITS):
+        die(supervisor)
+    with pytest.raises(ProcessError, match=r"actor 0 ended with exit code 9 and is not restarted"):
+        supervisor.keep_alive()
 
 
 def test_deaths_far_apart_do_not_add_up(
-    stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor], monkeypatch: pytest.MonkeyPatch
+    stand_in: Callable[..., None], supervisors: Supervisors, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A run of days may lose an actor now and then; one that worked for long begins its count anew."""
     stand_in(actor="exit 9")
-    crew = crews()
-    die(crew)
-    die(crew)  # one quick death behind it, the second to be found
-    monkeypatch.setattr(train_module, "QUICK_S", 0.0)
-    for _ in range(2 * QUICK_DEATHS):
-        die(crew)
-    monkeypatch.setattr(train_module, "QUICK_S", 1000.0)
+    supervisor = supervisors()
+    die(supervisor)
+    die(supervisor)  # one quick death behind it, the second to be found
+    monkeypatch.setattr(actors_module, "QUICK_S", 0.0)
+    for _ in range(2 * QUICK_EXITS):
+        die(supervisor)
+    monkeypatch.setattr(actors_module, "QUICK_S", 1000.0)
     # The last of the slow ones was not found yet: it is quick by the new measure, and two more may be.
-    for _ in range(QUICK_DEATHS - 1):
-        die(crew)
+    for _ in range(QUICK_EXITS - 1):
+        die(supervisor)
     with pytest.raises(ProcessError):
-        crew.keep_up()
+        supervisor.keep_alive()
 
 
-def test_at_the_end_all_are_asked_to_stop(stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor]) -> None:
+def test_at_the_end_all_are_asked_to_stop(stand_in: Callable[..., None], supervisors: Supervisors) -> None:
     """And have stopped when it is over."""
     stand_in(actor=f"{STAYS}; exit 5")
-    crew = crews(4)
-    crew.keep_up()
-    crew.end()
-    assert [process.returncode for process in processes(crew)] == [5, 5, 5, 5]
-    crew.end()
+    supervisor = supervisors(4)
+    supervisor.keep_alive()
+    supervisor.stop()
+    assert [process.returncode for process in processes(supervisor)] == [5, 5, 5, 5]
+    supervisor.stop()
 
 
 def test_who_does_not_stop_is_killed(
     stand_in: Callable[..., None],
-    crews: Callable[..., ActorSupervisor],
+    supervisors: Supervisors,
     monkeypatch: pytest.MonkeyPatch,
     until: Callable[..., None],
 ) -> None:
     """After a time of grace."""
-    monkeypatch.setattr(train_module, "GRACE_S", 0.1)
+    monkeypatch.setattr(processes_module, "GRACE_S", 0.1)
     stand_in(actor="exec sleep 60")
-    crew = crews(2)
-    crew.keep_up()
-    crew.end()
-    assert [process.returncode for process in processes(crew)] == [-signal.SIGKILL] * 2
+    supervisor = supervisors(2)
+    supervisor.keep_alive()
+    supervisor.stop()
+    assert [process.returncode for process in processes(supervisor)] == [-signal.SIGKILL] * 2
 
 
 def test_actors_are_told_where_and_not_what(
-    stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor], monkeypatch: pytest.MonkeyPatch
+    stand_in: Callable[..., None], supervisors: Supervisors, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The learner has the settings, already merged: its variables must not count a second time. The cache's does."""
     monkeypatch.setenv("RESKPN_SEED", "3")
     monkeypatch.setenv("RESKPN_CACHE_DIR", "/somewhere")
     stand_in(actor='echo "$@"; env')
-    crew = crews(2)
-    crew.keep_up()
-    for process in processes(crew):
+    supervisor = supervisors(2)
+    supervisor.keep_alive()
+    for process in processes(supervisor):
         process.wait(DEADLINE_S)
     cores = max(1, len(os.sched_getaffinity(0)) // 2)
     for number in (0, 1):
-        words, *environment = (crew._run_dir / "processes" / f"actor-{number}.txt").read_text().splitlines()
-        assert words == f"--endpoint {crew.settings.transport.endpoint} --threads {cores}"
+        words, *environment = supervisor.log_file(supervisor.actors[number]).read_text().splitlines()
+        assert words == f"--endpoint {supervisor.settings.transport.endpoint} --threads {cores}"
         variables = dict(line.split("=", 1) for line in environment if "=" in line)
         assert "RESKPN_SEED" not in variables
         assert variables["RESKPN_CACHE_DIR"] == "/somewhere"
@@ -294,7 +301,7 @@ def test_the_learners_end_is_the_runs_end(
     )
     asked = RunSettings.model_validate({"run_dir": tmp_path, "actors": 1, "seed": 4})
     assert train(asked) == code
-    hint = f"the learner was ended by signal 9; go on with: reskpn train --resume {tmp_path}"
+    hint = f"the learner was ended by signal 9; continue with: reskpn train --resume {tmp_path}"
     assert (hint in capsys.readouterr().err) is (code == 128 + 9)
     assert (tmp_path / "actor-has-left").exists()
     # The learner was given all settings, with the run's directory and the endpoint that was chosen.
@@ -329,7 +336,7 @@ def test_an_actor_that_cannot_be_kept_alive_stops_the_learner(stand_in: Callable
         learner=learner_that(tmp_path, f"cat; touch {tmp_path}/learner-has-left; exit 130"),
         actor="echo no engine; exit 6",
     )
-    with pytest.raises(ProcessError, match=r"actor 0 ended with exit code 6 and will not recover(.|\n)*no engine"):
+    with pytest.raises(ProcessError, match=r"actor 0 ended with exit code 6 and is not restarted(.|\n)*no engine"):
         train(RunSettings(run_dir=tmp_path, actors=1))
     assert (tmp_path / "learner-has-left").exists()
 
@@ -345,18 +352,16 @@ def test_a_directory_that_holds_a_run_is_found_before_anything_starts(
     assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
 
 
-def test_processes_are_out_of_reach_of_the_terminal(
-    stand_in: Callable[..., None], crews: Callable[..., ActorSupervisor]
-) -> None:
+def test_processes_are_out_of_reach_of_the_terminal(stand_in: Callable[..., None], supervisors: Supervisors) -> None:
     """Ctrl-C reaches `train` alone, which stops them in order: each is the leader of a session of its own."""
     stand_in(actor=STAYS)
-    crew = crews()
-    crew.keep_up()
-    (process,) = processes(crew)
+    supervisor = supervisors()
+    supervisor.keep_alive()
+    (process,) = processes(supervisor)
     assert os.getsid(process.pid) == process.pid
 
 
 def test_the_commands_are_this_packages() -> None:
     """By the Python that runs now, and told that they are supervised."""
-    command: Any = train_module._reskpn("learner")
+    command: Any = processes_module.reskpn_command("learner")
     assert command[1:] == ["-m", "reskpn", "learner", "--supervised"]

@@ -1,0 +1,44 @@
+"""`reskpn actor`: the process that collects experience."""
+
+from __future__ import annotations
+
+import argparse
+
+from common.config.faults import PREFIX
+from common.config.sources import load
+from reskpn.commands.command import EXIT_CODES, Command
+from reskpn.commands.connection import add_worker_options, over
+
+EPILOG = f"""\
+{PREFIX}TRANSPORT__ENDPOINT and {PREFIX}PHYSICS in the environment are used
+as well.
+
+{EXIT_CODES}"""
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    add_worker_options(parser, "work for", "actor")
+
+
+def run(given: argparse.Namespace) -> int:
+    """Collect until the run is over, or until a signal."""
+    from reskpn.supervision.stopping import stopping
+    from services.actor.service import run_actor
+
+    base = load(config=given.config)
+    transport = over(base.transport, given)
+    with stopping(supervised=given.supervised) as stop:
+        return run_actor(
+            transport,
+            physics=given.physics or base.physics,
+            run=given.run,
+            threads=given.threads,
+            connect_timeout_s=given.connect_timeout,
+            rejoin_timeout_s=given.rejoin_timeout,
+            stop=stop,
+            say=lambda text: print(text, flush=True),
+            state_file=given.state_file,
+        )
+
+
+COMMAND = Command(add_options, run, EPILOG)

@@ -1,0 +1,31 @@
+"""`reskpn train`: a whole run on this machine."""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+from reskpn.commands.command import Command
+from reskpn.commands.resuming import close_log, settings_to_resume
+from reskpn.commands.settings_options import add_settings, settings_epilog, settings_given, settings_given_over
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    add_settings(parser)
+    parser.add_argument("--resume", metavar="RUN_DIR", help="continue the unfinished run in that directory")
+
+
+def run(given: argparse.Namespace) -> int:
+    """Train; returns the learner's exit code."""
+    from reskpn.supervision.supervisor import train
+
+    if given.resume is None:
+        return train(settings_given(given))
+    # No process is left that was told the run's former address: a free port is as good.
+    over = partial(settings_given_over(given), own_endpoint=False)
+    settings = settings_to_resume(Path(given.resume), over)
+    return close_log(Path(given.resume)) if settings is None else train(settings, resume=True)
+
+
+COMMAND = Command(add_options, run, settings_epilog())
