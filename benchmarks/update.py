@@ -27,7 +27,7 @@ from common.config.settings import RunSettings
 from common.learners import LEARNERS
 from common.maths.networks import make_networks
 from common.maths.rkhs.make import make_representation
-from common.maths.state import Batch, LearnerState, Mirror, initial_state
+from common.maths.state import Batch, LearnerState, initial_state
 from common.maths.update import make_update
 from common.runtime import enable_compilation_cache
 from common.tasks import TASKS
@@ -121,23 +121,21 @@ def _random_batch(settings: RunSettings) -> Batch:
     action = normal(steps, envs, task.action_size)
     flag = jnp.zeros((steps, envs), jnp.bool_)
     return Batch(
-        observation=normal(steps, envs, task.observation_size),
+        obs=normal(steps, envs, task.observation_size),
         action=action,
         log_prob=(-0.5 * (action**2 + np.log(2 * np.pi))).sum(axis=-1),
         reward=normal(steps, envs),
         terminated=flag,
         truncated=flag,
-        last_observation=normal(envs, task.observation_size),
+        last_obs=normal(envs, task.observation_size),
         truncated_obs=jnp.zeros((envs, task.observation_size), jnp.float32),
         slot=jnp.zeros(1, jnp.int32),
         fresh=jnp.zeros(1, jnp.bool_),
-        mirror=Mirror(
-            action=normal(settings.branches, task.action_size),
-            reward=normal(settings.branches),
-            terminated=flag[0, : settings.branches],
-            truncated=flag[0, : settings.branches],
-            next_observation=normal(settings.branches, task.observation_size),
-        ),
+        mirror_action=normal(settings.branches, task.action_size),
+        mirror_reward=normal(settings.branches),
+        mirror_terminated=flag[0, : settings.branches],
+        mirror_truncated=flag[0, : settings.branches],
+        mirror_obs=normal(settings.branches, task.observation_size),
     )
 
 

@@ -40,9 +40,7 @@ class Diagnostics:
 
         def at(function: Function) -> Mean:
             parameters = new.parameters["policy"]
-            return policy.evaluate(
-                self.step.networks, self.step.representation, parameters, function, probe.observation
-            )
+            return policy.evaluate(self.step.networks, self.step.representation, parameters, function, probe.obs)
 
         after = at(new.expansion)
         unexplained = jnp.var(batch.target - batch.value) / (jnp.var(batch.target) + 1e-8)
@@ -61,15 +59,15 @@ class Diagnostics:
         representation, settings = self.step.representation, self.step.settings
         h, mu = jnp.mean(jnp.square(after.rkhs)), jnp.mean(jnp.square(after.residual))
         metrics = {
-            "rkhs/centres": representation.size(new.expansion, new.momentum),
-            "rkhs/centre_age": representation.age(new.momentum, self.step.samples),
+            "rkhs/centres": representation.size(new.expansion, new.representation_state),
+            "rkhs/centre_age": representation.age(new.representation_state, self.step.samples),
             "rkhs/norm": representation.norm(new.expansion),
             "rkhs/h_rms": jnp.sqrt(h),
             "rkhs/residual_rms": jnp.sqrt(mu),
             "rkhs/share": h / (h + mu + 1e-12),
             "rkhs/step_kl": jnp.mean(gaussians.kl_of_means(before.total, after.total, after.log_std)),
         }
-        metrics |= {f"rkhs/{name}": value for name, value in representation.figures(new.momentum).items()}
+        metrics |= {f"rkhs/{name}": value for name, value in representation.figures(new.representation_state).items()}
         half = after.features.shape[0] // 2
         if settings.kernel in WIDTHS and half:
             apart = jnp.sum(jnp.square(after.features[:half] - after.features[half : 2 * half]), axis=1)
@@ -89,7 +87,7 @@ class Diagnostics:
         gain, advantage = self.step.gain(batch)[::stride], normalised(batch.advantage)[::stride]
 
         def measure(_: None) -> Metrics:
-            return self._laboratory(before, probe, gain, advantage)
+            return self._gradient_variance_metrics(before, probe, gain, advantage)
 
         def skip(_: None) -> Metrics:
             return {name: jnp.zeros((), jnp.float32) for name in jax.eval_shape(measure, None)}
@@ -97,7 +95,9 @@ class Diagnostics:
         due = old.version % every == 0
         return jax.lax.cond(due, measure, skip, None) | {MEASURED: due}
 
-    def _laboratory(self, mean: Mean, probe: Samples, gain: Float[Array, "G"], advantage: Float[Array, "G"]) -> Metrics:
+    def _gradient_variance_metrics(
+        self, mean: Mean, probe: Samples, gain: Float[Array, "G"], advantage: Float[Array, "G"]
+    ) -> Metrics:
         """Equation 10 for the gradient as taken and for those of Theorem 3.2; the quantities of Figures 8 to 10."""
         kernel = self.step.representation.kernel
         taken = self.step.samples * self.step.coefficients(mean, probe, gain, advantage)
@@ -128,7 +128,7 @@ def finiteness(state: LearnerState) -> Metrics:
     parts = {
         "parameters": state.parameters,
         "optimiser": state.optimiser,
-        "expansion": (state.expansion, state.momentum),
+        "expansion": (state.expansion, state.representation_state),
         "observation moments": state.observations,
         "return moments": (state.returns, state.discounted),
     }

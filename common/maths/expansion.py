@@ -31,8 +31,10 @@ class Expansion:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Momentum:
-    """What the functional gradient step keeps from one update to the next.
+class RepresentationState:
+    """What a representation of h keeps from one update to the next, beside h itself.
+
+    Subclasses add what their representation needs: the age of centres, the whitening of landmarks.
 
     velocity: the moving average of the functional gradient, in the coefficients of h.
     added: centres added since the start; for representations that add none, updates since the start.
@@ -42,16 +44,16 @@ class Momentum:
     added: Int[Array, ""]
 
 
-def empty(capacity: int, feature_size: int, action_size: int) -> tuple[Expansion, Momentum]:
+def empty(capacity: int, feature_size: int, action_size: int) -> tuple[Expansion, RepresentationState]:
     """h = 0, with room for `capacity` centres."""
     weights = jnp.zeros((capacity, action_size), jnp.float32)
     centres = jnp.zeros((capacity, feature_size), jnp.float32)
-    return Expansion(centres, weights), Momentum(weights, jnp.zeros((), jnp.int32))
+    return Expansion(centres, weights), RepresentationState(weights, jnp.zeros((), jnp.int32))
 
 
-def size(expansion: Expansion, momentum: Momentum) -> Int[Array, ""]:
+def size(expansion: Expansion, state: RepresentationState) -> Int[Array, ""]:
     """Centres in use."""
-    return jnp.minimum(momentum.added, expansion.capacity)
+    return jnp.minimum(state.added, expansion.capacity)
 
 
 def evaluate(expansion: Expansion, kernel: Kernel, features: Float[Array, "B d"]) -> Float[Array, "B A"]:
@@ -61,12 +63,12 @@ def evaluate(expansion: Expansion, kernel: Kernel, features: Float[Array, "B d"]
 
 def append(
     expansion: Expansion,
-    momentum: Momentum,
+    state: RepresentationState,
     features: Float[Array, "n d"],
     coefficients: Float[Array, "n A"],
     *,
     decay: float,
-) -> tuple[Expansion, Momentum]:
+) -> tuple[Expansion, RepresentationState]:
     """Take n centres in, with weight 0, and g = sum_k alpha_k K(c_k, .) into v <- decay v + (1 - decay) g.
 
     The newest centre stands in row (added - 1) mod M. A full expansion gives up its oldest centres, and what
@@ -76,25 +78,25 @@ def append(
         features: the new centres c_k.
         coefficients: alpha_k.
     """
-    rows = (momentum.added + jnp.arange(features.shape[0], dtype=jnp.int32)) % expansion.capacity
+    rows = (state.added + jnp.arange(features.shape[0], dtype=jnp.int32)) % expansion.capacity
     centres = expansion.centres.at[rows].set(features)
-    velocity = decay * momentum.velocity.at[rows].set(0.0)
+    velocity = decay * state.velocity.at[rows].set(0.0)
     velocity = velocity.at[rows].add((1.0 - decay) * coefficients)
     weights = expansion.weights.at[rows].set(0.0)
-    return Expansion(centres, weights), Momentum(velocity, momentum.added + features.shape[0])
+    return Expansion(centres, weights), RepresentationState(velocity, state.added + features.shape[0])
 
 
 def step(
     expansion: Expansion,
-    momentum: Momentum,
+    state: RepresentationState,
     features: Float[Array, "n d"],
     coefficients: Float[Array, "n A"],
     *,
     decay: float,
-) -> tuple[Expansion, Momentum]:
+) -> tuple[Expansion, RepresentationState]:
     """The functional gradient step with a fixed size, h <- h + v (paper, equation 8 and Table 1's "Adam for RKHS").
 
     Arguments as in `append`; the coefficients include the step size.
     """
-    expansion, momentum = append(expansion, momentum, features, coefficients, decay=decay)
-    return Expansion(expansion.centres, expansion.weights + momentum.velocity), momentum
+    expansion, state = append(expansion, state, features, coefficients, decay=decay)
+    return Expansion(expansion.centres, expansion.weights + state.velocity), state

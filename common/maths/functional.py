@@ -18,11 +18,11 @@ from jaxtyping import Float, Key
 from common.config.rkhs import RkhsSettings
 from common.learners import Target
 from common.maths import gaussians, objectives, policy
-from common.maths.expansion import Momentum
+from common.maths.expansion import RepresentationState
 from common.maths.networks import Networks, Parameters
 from common.maths.policy import Mean
 from common.maths.rkhs.representation import Function, Representation
-from common.maths.samples import Pairs, Samples, probe_stride, spread_rows
+from common.maths.samples import Pairs, Samples, evenly_spread_rows, probe_stride
 
 Metrics = dict[str, Array]
 
@@ -42,12 +42,12 @@ class FunctionalStep:
     def __call__(
         self,
         function: Function,
-        momentum: Momentum,
+        state: RepresentationState,
         parameters: Parameters,
         batch: Samples,
         pairs: Pairs,
         key: Key[Array, ""],
-    ) -> tuple[Function, Momentum, Metrics]:
+    ) -> tuple[Function, RepresentationState, Metrics]:
         """The next h and v, for the networks as they are after their training.
 
         Args:
@@ -64,19 +64,19 @@ class FunctionalStep:
             mean, alpha = self.from_pairs(mean_at, pairs, key)
         else:
             mean, alpha = self._from_batch(mean_at, batch, key)
-        function, momentum = representation.average(
+        function, state = representation.average(
             function,
-            momentum,
+            state,
             mean.features,
             alpha,
-            lambda wanted: mean_at(batch.observation[spread_rows(count, wanted)]).features,
+            lambda wanted: mean_at(batch.obs[evenly_spread_rows(count, wanted)]).features,
             decay=settings.momentum,
         )
-        scale = self._scale(function, momentum, mean_at, batch, mean.log_std)
-        function = representation.apply(function, momentum, scale, shrinkage=settings.shrinkage)
+        scale = self._scale(function, state, mean_at, batch, mean.log_std)
+        function = representation.apply(function, state, scale, shrinkage=settings.shrinkage)
         return (
             function,
-            momentum,
+            state,
             {"rkhs/alpha": jnp.sqrt(jnp.sum(jnp.square(alpha))), "rkhs/scale": jnp.asarray(scale)},
         )
 
@@ -86,7 +86,7 @@ class FunctionalStep:
         """The mean at n transitions of the batch, and their coefficients."""
         gain, advantage = self.gain(batch), objectives.normalised(batch.advantage)
         drawn, gain, advantage = self._draw((batch, gain, advantage), batch.log_prob.shape[0], key)
-        mean = mean_at(drawn.observation)
+        mean = mean_at(drawn.obs)
         return mean, self.coefficients(mean, drawn, gain, advantage)
 
     def from_pairs(
@@ -102,7 +102,7 @@ class FunctionalStep:
         both = objectives.normalised(jnp.stack([pairs.taken.advantage, pairs.mirrored.advantage]))
         gains = (pairs.taken.target, pairs.mirrored.target) if self.target == "Q" else (both[0], both[1])
         pairs, gains, advantages = self._draw((pairs, gains, (both[0], both[1])), both.shape[1], key)
-        mean = mean_at(pairs.taken.observation)
+        mean = mean_at(pairs.taken.obs)
         taken = self.coefficients(mean, pairs.taken, gains[0], advantages[0])
         mirrored = self.coefficients(mean, pairs.mirrored, gains[1], advantages[1])
         return mean, 0.5 * (taken + mirrored)
@@ -137,7 +137,7 @@ class FunctionalStep:
     def _scale(
         self,
         function: Function,
-        momentum: Momentum,
+        state: RepresentationState,
         mean_at: Callable[[Array], Mean],
         batch: Samples,
         log_std: Float[Array, "A"],
@@ -148,7 +148,7 @@ class FunctionalStep:
         """
         if self.settings.step == "fixed":
             return 1.0
-        features = mean_at(batch.observation[:: probe_stride(batch.log_prob.shape[0])]).features
-        v = self.representation.velocity(function, momentum, features)
+        features = mean_at(batch.obs[:: probe_stride(batch.log_prob.shape[0])]).features
+        v = self.representation.velocity(function, state, features)
         kl = jnp.mean(gaussians.kl_of_means(v, jnp.zeros_like(v), log_std))
         return jnp.sqrt(self.settings.kl_target / jnp.maximum(kl, _LEAST_KL))

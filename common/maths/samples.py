@@ -18,7 +18,7 @@ PROBE = 1024
 class Samples:
     """Transitions in any order; observations whitened, advantages as the critic gives them."""
 
-    observation: Float[Array, "*batch O"]
+    obs: Float[Array, "*batch O"]
     action: Float[Array, "*batch A"]
     log_prob: Float[Array, "*batch"]
     value: Float[Array, "*batch"]
@@ -54,7 +54,7 @@ def flatten(x: Array) -> Array:
     return x.reshape((-1, *x.shape[2:]))
 
 
-def spread_rows(count: int, wanted: int) -> Int[Array, "wanted"]:
+def evenly_spread_rows(count: int, wanted: int) -> Int[Array, "wanted"]:
     """That many row numbers out of `count`, evenly spread."""
     return jnp.arange(wanted, dtype=jnp.int32) * count // wanted
 

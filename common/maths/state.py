@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt32
 
 from common.config.settings import AlgorithmSettings
 from common.maths import running
-from common.maths.expansion import Momentum
+from common.maths.expansion import RepresentationState
 from common.maths.networks import Networks, Parameters
 from common.maths.policy import Policy
 from common.maths.rkhs.representation import Function, Representation
@@ -25,6 +25,7 @@ from common.maths.running import Moments
 class LearnerState:
     """State of the learner after `version` updates.
 
+    representation_state: v and what else the representation of h keeps; stored as `momentum` (see `trees`).
     discounted: forward-discounted return of every environment of every slot, for the scale of the rewards.
     key: threefry key data; update v draws only from `fold_in(key, v)`.
     """
@@ -32,7 +33,7 @@ class LearnerState:
     parameters: Parameters
     optimiser: optax.OptState
     expansion: Function
-    momentum: Momentum
+    representation_state: RepresentationState
     observations: Moments
     returns: Moments
     discounted: Float[Array, "S N"]
@@ -46,39 +47,33 @@ class LearnerState:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Mirror:
-    """The last step of the rollouts made once more, from the same states, under a' = 2 m(o) - a.
-
-    M is E, or 0 in a run that does not branch. next_observation is that after the step, of the same episode.
-    """
-
-    action: Float[Array, "M A"]
-    reward: Float[Array, "M"]
-    terminated: Bool[Array, "M"]
-    truncated: Bool[Array, "M"]
-    next_observation: Float[Array, "M O"]
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
 class Batch:
     """The K rollouts of an update side by side: E = K * N environments, rollouts in the order of `slot`.
 
+    Arrays have the names that they have in a rollout (`common.wire.messages.Rollout`).
+
     truncated_obs: where a truncation happened, the observation the episode was cut at; zero elsewhere.
+    slot: the slot of each rollout.
     fresh: whether a rollout is the first one of new environments.
+    mirror_*: the last step of the rollouts made once more, from the same states, under a' = 2 m(o) - a; mirror_obs
+        follows that step, in the same episode. m is E, or 0 in a run that does not branch.
     """
 
-    observation: Float[Array, "T E O"]
+    obs: Float[Array, "T E O"]
     action: Float[Array, "T E A"]
     log_prob: Float[Array, "T E"]
     reward: Float[Array, "T E"]
     terminated: Bool[Array, "T E"]
     truncated: Bool[Array, "T E"]
-    last_observation: Float[Array, "E O"]
+    last_obs: Float[Array, "E O"]
     truncated_obs: Float[Array, "E O"]
     slot: Int[Array, "K"]
     fresh: Bool[Array, "K"]
-    mirror: Mirror
+    mirror_action: Float[Array, "m A"]
+    mirror_reward: Float[Array, "m"]
+    mirror_terminated: Bool[Array, "m"]
+    mirror_truncated: Bool[Array, "m"]
+    mirror_obs: Float[Array, "m O"]
 
 
 def make_optimiser(algorithm: AlgorithmSettings) -> optax.GradientTransformation:
@@ -100,12 +95,12 @@ def initial_state(
     seed: int,
 ) -> LearnerState:
     """The state before the first update: h = 0, nothing observed."""
-    expansion, momentum = representation.empty(networks.feature_size, networks.action_size)
+    expansion, representation_state = representation.empty(networks.feature_size, networks.action_size)
     return LearnerState(
         parameters=parameters,
         optimiser=make_optimiser(algorithm).init(parameters),
         expansion=expansion,
-        momentum=momentum,
+        representation_state=representation_state,
         observations=running.start((networks.observation_size,)),
         returns=running.start(()),
         discounted=jnp.zeros((slots, envs_per_slot), jnp.float32),

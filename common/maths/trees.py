@@ -13,8 +13,13 @@ from common.errors import CodecError
 Tree = TypeVar("Tree")
 
 
+_STORED_AS = {"representation_state": "momentum"}
+"""Stored names of fields that have another name in the code: digests and logs hold the stored ones."""
+
+
 def _path(keys: tuple[Any, ...]) -> str:
-    return jax.tree_util.keystr(keys, simple=True, separator="/")
+    field, *below = jax.tree_util.keystr(keys, simple=True, separator="/").split("/")
+    return "/".join([_STORED_AS.get(field, field), *below])
 
 
 def to_arrays(tree: Any) -> dict[str, np.ndarray]:

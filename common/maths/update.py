@@ -7,7 +7,7 @@ each step before it is seen; rewards are scaled likewise (PureJaxRL).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import jax
@@ -26,20 +26,6 @@ from common.maths.rkhs.make import make_representation
 from common.maths.rkhs.representation import Function, Representation
 from common.maths.samples import Pairs, Samples, flatten
 from common.maths.state import Batch, LearnerState, make_optimiser
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Seen:
-    """Observations of a batch, or of one rollout, as networks see them: those of its steps, and what came after.
-
-    Leaves are axes where it tells `jax.vmap` how rollouts lie side by side.
-    """
-
-    observation: Any
-    last: Any
-    truncated_obs: Any
-    mirrored: Any
 
 
 @dataclass(frozen=True)
@@ -72,24 +58,24 @@ class Update:
         """
         shuffle_key, draw_key = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(state.key), state.version))
         return_moments, discounted, reward = self._scaled_rewards(state, batch)
-        seen = self._seen(state, batch)
-        by_step = self._samples(state, batch, reward, seen)
+        whitened = self._whitened(state, batch)
+        by_step = self._samples(state, whitened, reward)
         samples = jax.tree.map(flatten, by_step)
         parameters, optimiser, losses = self._train_networks(state, samples, shuffle_key)
-        expansion, momentum, rkhs_metrics = state.expansion, state.momentum, Metrics()
+        expansion, representation_state, rkhs_metrics = state.expansion, state.representation_state, Metrics()
         if expansion.capacity:
-            pairs = self._pairs(state, batch, by_step, return_moments, seen)
-            expansion, momentum, rkhs_metrics = self.step(
-                expansion, momentum, parameters["policy"], samples, pairs, draw_key
+            pairs = self._pairs(state, whitened, by_step, return_moments)
+            expansion, representation_state, rkhs_metrics = self.step(
+                expansion, representation_state, parameters["policy"], samples, pairs, draw_key
             )
         observations = state.observations
         if self.algorithm.normalise_observations:
-            observations = running.merge(observations, flatten(batch.observation))
+            observations = running.merge(observations, flatten(batch.obs))
         new = LearnerState(
             parameters=parameters,
             optimiser=optimiser,
             expansion=expansion,
-            momentum=momentum,
+            representation_state=representation_state,
             observations=observations,
             returns=return_moments,
             discounted=discounted,
@@ -120,78 +106,83 @@ class Update:
         moments, reward = running.merge_and_scale(state.returns, by_step, batch.reward)
         return moments, discounted, reward
 
-    def _seen(self, state: LearnerState, batch: Batch) -> Seen:
-        """The batch's observations as its actors saw them: each rollout goes on from the moments of the snapshot.
+    def _whitened(self, state: LearnerState, batch: Batch) -> Batch:
+        """The batch with observations as its actors saw them: each rollout goes on from the moments of the snapshot.
 
-        What an actor did not act on is seen by the moments at the rollout's end.
+        What an actor did not act on is whitened by the moments at the rollout's end.
         """
-        seen = Seen(batch.observation, batch.last_observation, batch.truncated_obs, batch.mirror.next_observation)
         if not self.algorithm.normalise_observations:
-            return seen
+            return batch
         rollouts = batch.slot.shape[0]
 
-        def one_rollout(x: Seen) -> Seen:
-            steps = jnp.concatenate([x.observation, x.last[None]])
+        def one_rollout(obs: Array, last_obs: Array, *not_acted_on: Array) -> tuple[Array, ...]:
+            steps = jnp.concatenate([obs, last_obs[None]])
             moments, steps = running.merge_and_standardise(state.observations, steps)
-            others = (running.standardise(moments, y) for y in (x.truncated_obs, x.mirrored))
-            return Seen(steps[:-1], steps[-1], *others)
+            return steps[:-1], steps[-1], *(running.standardise(moments, x) for x in not_acted_on)
 
-        axes = Seen(1, 0, 0, 0)
-        apart = jax.tree.map(lambda x, axis: _split(x, axis, rollouts), seen, axes)
-        together = jax.vmap(one_rollout, in_axes=(axes,), out_axes=axes)(apart)
-        return jax.tree.map(lambda x, like: x.reshape(like.shape), together, seen)
+        together = (batch.obs, batch.last_obs, batch.truncated_obs, batch.mirror_obs)
+        axes = (1, 0, 0, 0)  # where the rollouts lie side by side in each
+        apart = [_split(x, axis, rollouts) for x, axis in zip(together, axes, strict=True)]
+        whitened = jax.vmap(one_rollout, in_axes=axes, out_axes=axes)(*apart)
+        obs, last_obs, truncated_obs, mirror_obs = (
+            x.reshape(like.shape) for x, like in zip(whitened, together, strict=True)
+        )
+        return replace(batch, obs=obs, last_obs=last_obs, truncated_obs=truncated_obs, mirror_obs=mirror_obs)
 
-    def _samples(self, state: LearnerState, batch: Batch, reward: Float[Array, "T E"], seen: Seen) -> Samples:
-        """Values and advantages under the critic as it stands; all arrays [T, E, ...]."""
-        value = self._value(state, seen.observation)
-        last_value = self._value(state, seen.last)
+    def _samples(self, state: LearnerState, batch: Batch, reward: Float[Array, "T E"]) -> Samples:
+        """Values and advantages under the critic as it stands; all arrays [T, E, ...].
+
+        Args:
+            batch: its observations whitened.
+            reward: scaled.
+        """
+        value = self._value(state, batch.obs)
+        last_value = self._value(state, batch.last_obs)
         next_value = jnp.concatenate([value[1:], last_value[None]])
-        cut_value = jnp.zeros_like(value[:1])
+        truncated_value = jnp.zeros_like(value[:1])
         if self.algorithm.bootstrap_at_truncation:
             # An environment is truncated at most once a rollout: settings keep T within an episode.
-            cut_value = self._value(state, seen.truncated_obs)[None]
+            truncated_value = self._value(state, batch.truncated_obs)[None]
         advantage = returns.generalised_advantage(
             reward,
             value,
-            jnp.where(batch.truncated, cut_value, next_value),
+            jnp.where(batch.truncated, truncated_value, next_value),
             batch.terminated,
             batch.truncated,
             gamma=self.algorithm.gamma,
             lambda_=self.algorithm.gae_lambda,
         )
-        return Samples(seen.observation, batch.action, batch.log_prob, value, advantage)
+        return Samples(batch.obs, batch.action, batch.log_prob, value, advantage)
 
-    def _pairs(
-        self, state: LearnerState, batch: Batch, samples: Samples, return_moments: running.Moments, seen: Seen
-    ) -> Pairs:
+    def _pairs(self, state: LearnerState, batch: Batch, samples: Samples, return_moments: running.Moments) -> Pairs:
         """The last step of the rollouts, whose advantage is that of one step, and what its mirror image gave.
 
         Args:
+            batch: its observations whitened.
             samples: of the batch, [T, E, ...].
         """
-        mirror = batch.mirror
-        taken: Samples = jax.tree.map(lambda x: x[-1, : mirror.reward.shape[0]], samples)
-        reward = mirror.reward
+        reward = batch.mirror_reward
+        taken: Samples = jax.tree.map(lambda x: x[-1, : reward.shape[0]], samples)
         if self.algorithm.normalise_rewards:
             reward = running.scale(return_moments, reward)
-        next_value = self._value(state, seen.mirrored)
+        next_value = self._value(state, batch.mirror_obs)
         if not self.algorithm.bootstrap_at_truncation:
-            next_value = jnp.where(mirror.truncated, 0.0, next_value)
+            next_value = jnp.where(batch.mirror_truncated, 0.0, next_value)
         (advantage,) = returns.generalised_advantage(
             reward[None],
             taken.value[None],
             next_value[None],
-            mirror.terminated[None],
-            mirror.truncated[None],
+            batch.mirror_terminated[None],
+            batch.mirror_truncated[None],
             gamma=self.algorithm.gamma,
             lambda_=self.algorithm.gae_lambda,
         )
-        # A Gaussian is as dense at the one action as at the other.
-        return Pairs(taken, Samples(taken.observation, mirror.action, taken.log_prob, taken.value, advantage))
+        # A Gaussian is as dense at the mirrored action as at the one taken.
+        return Pairs(taken, Samples(taken.obs, batch.mirror_action, taken.log_prob, taken.value, advantage))
 
-    def _value(self, state: LearnerState, observation: Float[Array, "*batch O"]) -> Float[Array, "*batch"]:
-        flat = observation.reshape(-1, observation.shape[-1])
-        return self.networks.value(state.parameters["critic"], flat).reshape(observation.shape[:-1])
+    def _value(self, state: LearnerState, obs: Float[Array, "*batch O"]) -> Float[Array, "*batch"]:
+        flat = obs.reshape(-1, obs.shape[-1])
+        return self.networks.value(state.parameters["critic"], flat).reshape(obs.shape[:-1])
 
     def _train_networks(
         self, state: LearnerState, samples: Samples, key: Key[Array, ""]
@@ -217,7 +208,7 @@ class Update:
     def _loss(self, parameters: Parameters, function: Function, samples: Samples) -> tuple[Float[Array, ""], Metrics]:
         """The scalar that is descended on one minibatch."""
         settings = self.algorithm
-        mean = policy.evaluate(self.networks, self.representation, parameters["policy"], function, samples.observation)
+        mean = policy.evaluate(self.networks, self.representation, parameters["policy"], function, samples.obs)
         total = jax.lax.stop_gradient(mean.total) if self.learner.objective == "none" else mean.total
         log_ratio = gaussians.log_prob(total, mean.log_std, samples.action) - samples.log_prob
         ratio = jnp.exp(log_ratio)
@@ -227,7 +218,7 @@ class Update:
         else:
             gain = objectives.clipped(ratio, advantage, clip=settings.clip)
         value_loss = objectives.clipped_value_loss(
-            self.networks.value(parameters["critic"], samples.observation),
+            self.networks.value(parameters["critic"], samples.obs),
             samples.value,
             samples.target,
             clip=settings.clip,

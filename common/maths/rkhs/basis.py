@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from common.maths.expansion import Momentum
+from common.maths.expansion import RepresentationState
 from common.maths.rkhs.representation import Embedding, OfFeatures
 
 
@@ -40,9 +40,11 @@ class Basis(OfFeatures):
     variables: int
     seed: int
 
-    def empty(self, feature_size: int, action_size: int) -> tuple[Embedding, Momentum]:
+    def empty(self, feature_size: int, action_size: int) -> tuple[Embedding, RepresentationState]:
         weights = jnp.zeros((self.capacity, action_size), jnp.float32)
-        return Embedding(self._directions(feature_size), weights), Momentum(weights, jnp.zeros((), jnp.int32))
+        return Embedding(self._directions(feature_size), weights), RepresentationState(
+            weights, jnp.zeros((), jnp.int32)
+        )
 
     def activations(self, function: Embedding, features: Float[Array, "B d"]) -> Float[Array, "B M"]:
         y = features @ function.directions.T

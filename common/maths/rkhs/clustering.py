@@ -10,13 +10,13 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from common.maths.expansion import Expansion, Momentum
-from common.maths.rkhs.representation import OfKernels, Spread
+from common.maths.expansion import Expansion, RepresentationState
+from common.maths.rkhs.representation import OfKernels, SampleFeatures
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Dated(Momentum):
+class ClusterState(RepresentationState):
     """`born`: the update at which each row's centre was added; `updates`: updates since the start."""
 
     born: Int[Array, "M"]
@@ -25,7 +25,7 @@ class Dated(Momentum):
 
 @final
 @dataclass(frozen=True)
-class Cluster(OfKernels[Dated]):
+class Cluster(OfKernels[ClusterState]):
     """A transition closer than `radius` to a centre joins the nearest one; the others are taken in order.
 
     Each of those becomes a centre, and what is closer to it than `radius` and not yet taken joins it. With radius 0
@@ -36,24 +36,24 @@ class Cluster(OfKernels[Dated]):
 
     radius: float
 
-    def empty(self, feature_size: int, action_size: int) -> tuple[Expansion, Dated]:
+    def empty(self, feature_size: int, action_size: int) -> tuple[Expansion, ClusterState]:
         weights = jnp.zeros((self.capacity, action_size), jnp.float32)
         centres = jnp.zeros((self.capacity, feature_size), jnp.float32)
         zero = jnp.zeros((), jnp.int32)
-        return Expansion(centres, weights), Dated(weights, zero, jnp.zeros((self.capacity,), jnp.int32), zero)
+        return Expansion(centres, weights), ClusterState(weights, zero, jnp.zeros((self.capacity,), jnp.int32), zero)
 
     def average(
         self,
         function: Expansion,
-        momentum: Dated,
+        state: ClusterState,
         features: Float[Array, "n d"],
         coefficients: Float[Array, "n A"],
-        spread: Spread,
+        sample_features: SampleFeatures,
         *,
         decay: float,
-    ) -> tuple[Expansion, Dated]:
+    ) -> tuple[Expansion, ClusterState]:
         capacity, room = function.capacity, min(features.shape[0], function.capacity)
-        used = jnp.arange(capacity, dtype=jnp.int32) < momentum.added
+        used = jnp.arange(capacity, dtype=jnp.int32) < state.added
         distance = jnp.where(used[None, :], _distances_squared(features, function.centres), jnp.inf)
         nearest = jnp.argmin(distance, axis=1).astype(jnp.int32)
         joined = jnp.min(distance, axis=1) < self.radius**2
@@ -61,16 +61,16 @@ class Cluster(OfKernels[Dated]):
         count = jnp.sum(leaders < features.shape[0], dtype=jnp.int32)
         # New centres take the rows after the newest one; those past `count` are dropped as out of bounds.
         order = jnp.arange(room, dtype=jnp.int32)
-        rows = jnp.where(order < count, (momentum.added + order) % capacity, capacity)
-        kept = jnp.ones((capacity, 1), momentum.velocity.dtype).at[rows].set(0.0, mode="drop")
+        rows = jnp.where(order < count, (state.added + order) % capacity, capacity)
+        kept = jnp.ones((capacity, 1), state.velocity.dtype).at[rows].set(0.0, mode="drop")
         # What joined a centre that gives way now goes with it.
         old = jnp.where(kept[nearest, 0] > 0.0, nearest, capacity)
         target = jnp.where(owner < room, rows[jnp.minimum(owner, room - 1)], old)
-        velocity = (decay * kept * momentum.velocity).at[target].add((1.0 - decay) * coefficients, mode="drop")
+        velocity = (decay * kept * state.velocity).at[target].add((1.0 - decay) * coefficients, mode="drop")
         centres = function.centres.at[rows].set(features[jnp.minimum(leaders, features.shape[0] - 1)], mode="drop")
-        born = momentum.born.at[rows].set(momentum.updates, mode="drop")
-        added = momentum.added + count
-        return Expansion(centres, kept * function.weights), Dated(velocity, added, born, momentum.updates + 1)
+        born = state.born.at[rows].set(state.updates, mode="drop")
+        added = state.added + count
+        return Expansion(centres, kept * function.weights), ClusterState(velocity, added, born, state.updates + 1)
 
     def _lead(
         self, features: Float[Array, "n d"], joined: Bool[Array, "n"], room: int
@@ -105,16 +105,16 @@ class Cluster(OfKernels[Dated]):
             owner = jnp.where(owner < 0, nearest.astype(jnp.int32), owner)
         return leaders, owner
 
-    def size(self, function: Expansion, momentum: Dated) -> Int[Array, ""]:
-        return jnp.minimum(momentum.added, function.capacity)
+    def size(self, function: Expansion, state: ClusterState) -> Int[Array, ""]:
+        return jnp.minimum(state.added, function.capacity)
 
-    def age(self, momentum: Dated, samples: int) -> Float[Array, ""]:
-        return mean_age(momentum, jnp.arange(momentum.born.shape[0], dtype=jnp.int32) < momentum.added)
+    def age(self, state: ClusterState, samples: int) -> Float[Array, ""]:
+        return mean_age(state, jnp.arange(state.born.shape[0], dtype=jnp.int32) < state.added)
 
 
-def mean_age(momentum: Dated, used: Bool[Array, "M"]) -> Float[Array, ""]:
+def mean_age(state: ClusterState, used: Bool[Array, "M"]) -> Float[Array, ""]:
     """Mean number of updates since the used rows were added, 0 for those of the last update."""
-    total = jnp.sum(jnp.where(used, momentum.updates - 1 - momentum.born, 0))
+    total = jnp.sum(jnp.where(used, state.updates - 1 - state.born, 0))
     return total / jnp.maximum(jnp.sum(used), 1)
 
 

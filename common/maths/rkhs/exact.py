@@ -10,38 +10,38 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from common.maths import expansion as expansions
-from common.maths.expansion import Expansion, Momentum
-from common.maths.rkhs.representation import OfKernels, Spread
+from common.maths.expansion import Expansion, RepresentationState
+from common.maths.rkhs.representation import OfKernels, SampleFeatures
 
 
 @final
 @dataclass(frozen=True)
-class Exact(OfKernels[Momentum]):
+class Exact(OfKernels[RepresentationState]):
     """h as the paper has it. `capacity` is the budget; n must be within it.
 
     The oldest centre goes, not the one with the smallest weight: features move on while psi is trained, and old
     centres are where features no longer are (docs/decisions/0010-evict-the-oldest-centre.md).
     """
 
-    def empty(self, feature_size: int, action_size: int) -> tuple[Expansion, Momentum]:
+    def empty(self, feature_size: int, action_size: int) -> tuple[Expansion, RepresentationState]:
         return expansions.empty(self.capacity, feature_size, action_size)
 
     def average(
         self,
         function: Expansion,
-        momentum: Momentum,
+        state: RepresentationState,
         features: Float[Array, "n d"],
         coefficients: Float[Array, "n A"],
-        spread: Spread,
+        sample_features: SampleFeatures,
         *,
         decay: float,
-    ) -> tuple[Expansion, Momentum]:
-        return expansions.append(function, momentum, features, coefficients, decay=decay)
+    ) -> tuple[Expansion, RepresentationState]:
+        return expansions.append(function, state, features, coefficients, decay=decay)
 
-    def size(self, function: Expansion, momentum: Momentum) -> Int[Array, ""]:
-        return expansions.size(function, momentum)
+    def size(self, function: Expansion, state: RepresentationState) -> Int[Array, ""]:
+        return expansions.size(function, state)
 
-    def age(self, momentum: Momentum, samples: int) -> Float[Array, ""]:
-        rows = jnp.arange(momentum.velocity.shape[0], dtype=jnp.int32)
-        used = rows < momentum.added  # taken in the order of age, newest first
+    def age(self, state: RepresentationState, samples: int) -> Float[Array, ""]:
+        rows = jnp.arange(state.velocity.shape[0], dtype=jnp.int32)
+        used = rows < state.added  # taken in the order of age, newest first
         return jnp.sum(jnp.where(used, rows // samples, 0)) / jnp.maximum(jnp.sum(used), 1)

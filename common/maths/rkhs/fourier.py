@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Key
 
-from common.maths.expansion import Momentum
+from common.maths.expansion import RepresentationState
 from common.maths.rkhs.representation import Embedding, OfFeatures
 from common.maths.trigonometry import cos_sin
 
@@ -29,12 +29,12 @@ class Fourier(OfFeatures):
     bandwidth: float
     seed: int
 
-    def empty(self, feature_size: int, action_size: int) -> tuple[Embedding, Momentum]:
+    def empty(self, feature_size: int, action_size: int) -> tuple[Embedding, RepresentationState]:
         weights = jnp.zeros((self.capacity, action_size), jnp.float32)
         key = jax.random.fold_in(jax.random.key(self.seed), 0xF0FE)
         draw = gaussian_frequencies if self.kernel_name == "gaussian" else laplacian_frequencies
         frequencies = draw(key, self.capacity // 2, feature_size, self.bandwidth)
-        return Embedding(frequencies, weights), Momentum(weights, jnp.zeros((), jnp.int32))
+        return Embedding(frequencies, weights), RepresentationState(weights, jnp.zeros((), jnp.int32))
 
     def activations(self, function: Embedding, features: Float[Array, "B d"]) -> Float[Array, "B M"]:
         cosine, sine = cos_sin(features @ function.directions.T)

@@ -11,8 +11,8 @@ from common.maths.rkhs.basis import Basis
 from common.maths.rkhs.clustering import Cluster
 from common.maths.rkhs.exact import Exact
 from common.maths.rkhs.fourier import Fourier
+from common.maths.rkhs.matching_pursuit import KernelMatchingPursuit
 from common.maths.rkhs.nystrom import Nystrom
-from common.maths.rkhs.pursuit import Pursuit
 from common.maths.rkhs.representation import Representation
 
 
@@ -31,7 +31,7 @@ def make_representation(settings: RunSettings, capacity: int | None = None) -> R
         "exact": lambda: Exact(kernel, size),
         "nystrom": lambda: Nystrom(kernel, size, rkhs.landmarks_every),
         "rff": lambda: Fourier(kernel, size, rkhs.kernel, rkhs.bandwidth, seed),
-        "kmp": lambda: Pursuit(kernel, size, rkhs.error),
+        "kmp": lambda: KernelMatchingPursuit(kernel, size, rkhs.error),
         "cluster": lambda: Cluster(kernel, size, rkhs.radius),
         "basis": lambda: Basis(kernel, size, rkhs.bandwidth, rkhs.directions, seed),
     }

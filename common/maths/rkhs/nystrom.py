@@ -10,14 +10,14 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from common.maths.expansion import Expansion, Momentum
+from common.maths.expansion import Expansion, RepresentationState
 from common.maths.kernels import gram
-from common.maths.rkhs.representation import OfKernels, Spread
+from common.maths.rkhs.representation import OfKernels, SampleFeatures
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Whitened(Momentum):
+class NystromState(RepresentationState):
     """`whitening` is K_LL^-1/2 of the landmarks; `added` counts updates, `chosen` is the one they were chosen at."""
 
     whitening: Float[Array, "M M"]
@@ -26,7 +26,7 @@ class Whitened(Momentum):
 
 @final
 @dataclass(frozen=True)
-class Nystrom(OfKernels[Whitened]):
+class Nystrom(OfKernels[NystromState]):
     """h = phi(.) @ theta with phi(z) = K_LL^-1/2 K(L, z), kept as the weights K_LL^-1/2 theta of the landmarks.
 
     So h costs what M centres cost, and a gradient over n transitions becomes weights by a product with K(L, Z): the
@@ -38,48 +38,48 @@ class Nystrom(OfKernels[Whitened]):
 
     landmarks_every: int
 
-    def empty(self, feature_size: int, action_size: int) -> tuple[Expansion, Whitened]:
+    def empty(self, feature_size: int, action_size: int) -> tuple[Expansion, NystromState]:
         m = self.capacity
         weights = jnp.zeros((m, action_size), jnp.float32)
         centres = jnp.zeros((m, feature_size), jnp.float32)
         zero = jnp.zeros((), jnp.int32)
-        return Expansion(centres, weights), Whitened(weights, zero, jnp.zeros((m, m), jnp.float32), zero)
+        return Expansion(centres, weights), NystromState(weights, zero, jnp.zeros((m, m), jnp.float32), zero)
 
     def average(
         self,
         function: Expansion,
-        momentum: Whitened,
+        state: NystromState,
         features: Float[Array, "n d"],
         coefficients: Float[Array, "n A"],
-        spread: Spread,
+        sample_features: SampleFeatures,
         *,
         decay: float,
-    ) -> tuple[Expansion, Whitened]:
-        due = momentum.added == 0
+    ) -> tuple[Expansion, NystromState]:
+        due = state.added == 0
         if self.landmarks_every:
-            due |= momentum.added % self.landmarks_every == 0
-        function, momentum = jax.lax.cond(
-            due, self._choose, lambda h, v, _: (h, v), function, momentum, spread(self.capacity)
+            due |= state.added % self.landmarks_every == 0
+        function, state = jax.lax.cond(
+            due, self._choose, lambda h, v, _: (h, v), function, state, sample_features(self.capacity)
         )
-        gradient = _solve(momentum.whitening, gram(self.kernel, function.centres, features) @ coefficients)
-        velocity = decay * momentum.velocity + (1.0 - decay) * gradient
-        return function, Whitened(velocity, momentum.added + 1, momentum.whitening, momentum.chosen)
+        gradient = _solve(state.whitening, gram(self.kernel, function.centres, features) @ coefficients)
+        velocity = decay * state.velocity + (1.0 - decay) * gradient
+        return function, NystromState(velocity, state.added + 1, state.whitening, state.chosen)
 
-    def size(self, function: Expansion, momentum: Whitened) -> Int[Array, ""]:
-        return jnp.where(momentum.added > 0, function.capacity, 0)
+    def size(self, function: Expansion, state: NystromState) -> Int[Array, ""]:
+        return jnp.where(state.added > 0, function.capacity, 0)
 
-    def age(self, momentum: Whitened, samples: int) -> Float[Array, ""]:
-        return jnp.maximum(momentum.added - 1 - momentum.chosen, 0).astype(jnp.float32)
+    def age(self, state: NystromState, samples: int) -> Float[Array, ""]:
+        return jnp.maximum(state.added - 1 - state.chosen, 0).astype(jnp.float32)
 
     def _choose(
-        self, function: Expansion, momentum: Whitened, landmarks: Float[Array, "M d"]
-    ) -> tuple[Expansion, Whitened]:
+        self, function: Expansion, state: NystromState, landmarks: Float[Array, "M d"]
+    ) -> tuple[Expansion, NystromState]:
         """New landmarks, and h and v projected onto them."""
         whitening = inverse_root(gram(self.kernel, landmarks, landmarks))
         across = gram(self.kernel, landmarks, function.centres)
         weights = _solve(whitening, across @ function.weights)
-        velocity = _solve(whitening, across @ momentum.velocity)
-        return Expansion(landmarks, weights), Whitened(velocity, momentum.added, whitening, momentum.added)
+        velocity = _solve(whitening, across @ state.velocity)
+        return Expansion(landmarks, weights), NystromState(velocity, state.added, whitening, state.added)
 
 
 def inverse_root(matrix: Float[Array, "M M"]) -> Float[Array, "M M"]:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from common.maths.expansion import Expansion, Momentum
+from common.maths.expansion import Expansion, RepresentationState
 from common.maths.kernels import Kernel, gram
 
 
@@ -36,14 +36,14 @@ _BLOCK = 4096
 
 Function = Expansion | Embedding
 FunctionT = TypeVar("FunctionT", Expansion, Embedding)
-MomentumT = TypeVar("MomentumT", bound=Momentum)
+StateT = TypeVar("StateT", bound=RepresentationState)
 
-Spread = Callable[[int], Float[Array, "k d"]]
+SampleFeatures = Callable[[int], Float[Array, "k d"]]
 """Features of so many transitions, spread evenly over the batch."""
 
 
 @dataclass(frozen=True)
-class Representation(abc.ABC, Generic[FunctionT, MomentumT]):
+class Representation(abc.ABC, Generic[FunctionT, StateT]):
     """h = sum_i w_i e_i for M functions e_i of the RKHS; what these are, and how a gradient becomes one of their sums.
 
     A functional step is two calls: `average` takes the gradient into its moving average v, itself a sum of the same
@@ -54,7 +54,7 @@ class Representation(abc.ABC, Generic[FunctionT, MomentumT]):
     capacity: int
 
     @abc.abstractmethod
-    def empty(self, feature_size: int, action_size: int) -> tuple[FunctionT, MomentumT]:
+    def empty(self, feature_size: int, action_size: int) -> tuple[FunctionT, StateT]:
         """h = 0 and v = 0."""
 
     @abc.abstractmethod
@@ -69,13 +69,13 @@ class Representation(abc.ABC, Generic[FunctionT, MomentumT]):
     def average(
         self,
         function: FunctionT,
-        momentum: MomentumT,
+        state: StateT,
         features: Float[Array, "n d"],
         coefficients: Float[Array, "n A"],
-        spread: Spread,
+        sample_features: SampleFeatures,
         *,
         decay: float,
-    ) -> tuple[FunctionT, MomentumT]:
+    ) -> tuple[FunctionT, StateT]:
         """v <- decay v + (1 - decay) g for the gradient g = sum_k alpha_k K(z_k, .).
 
         h stays as it is but for what is given up to make room.
@@ -85,14 +85,14 @@ class Representation(abc.ABC, Generic[FunctionT, MomentumT]):
         """
 
     @abc.abstractmethod
-    def size(self, function: FunctionT, momentum: MomentumT) -> Int[Array, ""]:
+    def size(self, function: FunctionT, state: StateT) -> Int[Array, ""]:
         """Functions e_i in use."""
 
     @abc.abstractmethod
-    def age(self, momentum: MomentumT, samples: int) -> Float[Array, ""]:
+    def age(self, state: StateT, samples: int) -> Float[Array, ""]:
         """Mean number of updates that the e_i in use have been in use, at `samples` transitions an update."""
 
-    def figures(self, momentum: MomentumT) -> dict[str, Array]:
+    def figures(self, state: StateT) -> dict[str, Array]:
         """Metrics that only this representation has, by name."""
         return {}
 
@@ -100,16 +100,16 @@ class Representation(abc.ABC, Generic[FunctionT, MomentumT]):
         """h at the features."""
         return self.activations(function, features) @ function.weights
 
-    def velocity(self, function: FunctionT, momentum: MomentumT, features: Float[Array, "B d"]) -> Float[Array, "B A"]:
+    def velocity(self, function: FunctionT, state: StateT, features: Float[Array, "B d"]) -> Float[Array, "B A"]:
         """v at the features."""
-        return self.activations(function, features) @ momentum.velocity
+        return self.activations(function, features) @ state.velocity
 
     def apply(
-        self, function: FunctionT, momentum: MomentumT, scale: float | Float[Array, ""], *, shrinkage: float
+        self, function: FunctionT, state: StateT, scale: float | Float[Array, ""], *, shrinkage: float
     ) -> FunctionT:
         """h <- (1 - shrinkage) h + scale v."""
         kept = function.weights if shrinkage == 0.0 else (1.0 - shrinkage) * function.weights
-        return replace(function, weights=kept + scale * momentum.velocity)
+        return replace(function, weights=kept + scale * state.velocity)
 
     def norm(self, function: FunctionT) -> Float[Array, ""]:
         """|h| in the RKHS. Where the kernel is not positive semi-definite a negative square counts as 0."""
@@ -117,7 +117,7 @@ class Representation(abc.ABC, Generic[FunctionT, MomentumT]):
         return jnp.sqrt(jnp.maximum(square, 0.0))
 
 
-class OfKernels(Representation[Expansion, MomentumT]):
+class OfKernels(Representation[Expansion, StateT]):
     """The functions are K(c_i, .)."""
 
     def activations(self, function: Expansion, features: Float[Array, "B d"]) -> Float[Array, "B M"]:
@@ -132,7 +132,7 @@ class OfKernels(Representation[Expansion, MomentumT]):
         return jax.lax.map(of_centre, function.centres, batch_size=_BLOCK)  # a whole Gram matrix might not fit
 
 
-class OfFeatures(Representation[Embedding, Momentum]):
+class OfFeatures(Representation[Embedding, RepresentationState]):
     """The functions are finitely many orthonormal ones; K(x, y) is close to phi(x) @ phi(y)."""
 
     def inner(self, function: Embedding, weights: Float[Array, "M A"]) -> Float[Array, "M A"]:
@@ -141,19 +141,19 @@ class OfFeatures(Representation[Embedding, Momentum]):
     def average(
         self,
         function: Embedding,
-        momentum: Momentum,
+        state: RepresentationState,
         features: Float[Array, "n d"],
         coefficients: Float[Array, "n A"],
-        spread: Spread,
+        sample_features: SampleFeatures,
         *,
         decay: float,
-    ) -> tuple[Embedding, Momentum]:
+    ) -> tuple[Embedding, RepresentationState]:
         gradient = self.activations(function, features).T @ coefficients
-        velocity = decay * momentum.velocity + (1.0 - decay) * gradient
-        return function, Momentum(velocity, momentum.added + 1)
+        velocity = decay * state.velocity + (1.0 - decay) * gradient
+        return function, RepresentationState(velocity, state.added + 1)
 
-    def size(self, function: Embedding, momentum: Momentum) -> Int[Array, ""]:
+    def size(self, function: Embedding, state: RepresentationState) -> Int[Array, ""]:
         return jnp.full((), function.capacity, jnp.int32)
 
-    def age(self, momentum: Momentum, samples: int) -> Float[Array, ""]:
-        return momentum.added.astype(jnp.float32)
+    def age(self, state: RepresentationState, samples: int) -> Float[Array, ""]:
+        return state.added.astype(jnp.float32)

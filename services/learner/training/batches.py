@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from common.maths.state import Batch, Mirror
+from common.maths.state import Batch
 from common.wire.messages import Rollout
 
 
@@ -18,31 +18,28 @@ def assemble(rollouts: Sequence[Rollout]) -> Batch:
     One rollout is used as it lies in its message, where the device can read host memory; several are copied.
     """
 
-    def beside(name: str) -> Array:
-        arrays = [getattr(rollout, name) for rollout in rollouts]
+    def side_by_side(arrays: list[np.ndarray]) -> Array:
         return jnp.asarray(arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=1))
 
-    def end_to_end(name: str) -> Array:
-        return jnp.asarray(np.concatenate([getattr(rollout, name) for rollout in rollouts]))
+    def end_to_end(arrays: list[np.ndarray]) -> Array:
+        return jnp.asarray(np.concatenate(arrays))
 
     return Batch(
-        observation=beside("obs"),
-        action=beside("action"),
-        log_prob=beside("log_prob"),
-        reward=beside("reward"),
-        terminated=beside("terminated"),
-        truncated=beside("truncated"),
-        last_observation=end_to_end("last_obs"),
-        truncated_obs=jnp.asarray(np.concatenate([_truncated_obs(rollout) for rollout in rollouts])),
+        obs=side_by_side([rollout.obs for rollout in rollouts]),
+        action=side_by_side([rollout.action for rollout in rollouts]),
+        log_prob=side_by_side([rollout.log_prob for rollout in rollouts]),
+        reward=side_by_side([rollout.reward for rollout in rollouts]),
+        terminated=side_by_side([rollout.terminated for rollout in rollouts]),
+        truncated=side_by_side([rollout.truncated for rollout in rollouts]),
+        last_obs=end_to_end([rollout.last_obs for rollout in rollouts]),
+        truncated_obs=end_to_end([_truncated_obs(rollout) for rollout in rollouts]),
         slot=jnp.asarray([rollout.slot for rollout in rollouts], jnp.int32),
         fresh=jnp.asarray([rollout.seq == 0 for rollout in rollouts], jnp.bool_),
-        mirror=Mirror(
-            action=end_to_end("mirror_action"),
-            reward=end_to_end("mirror_reward"),
-            terminated=end_to_end("mirror_terminated"),
-            truncated=end_to_end("mirror_truncated"),
-            next_observation=end_to_end("mirror_obs"),
-        ),
+        mirror_action=end_to_end([rollout.mirror_action for rollout in rollouts]),
+        mirror_reward=end_to_end([rollout.mirror_reward for rollout in rollouts]),
+        mirror_terminated=end_to_end([rollout.mirror_terminated for rollout in rollouts]),
+        mirror_truncated=end_to_end([rollout.mirror_truncated for rollout in rollouts]),
+        mirror_obs=end_to_end([rollout.mirror_obs for rollout in rollouts]),
     )
 
 

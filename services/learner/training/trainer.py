@@ -18,7 +18,7 @@ from common.maths import trees
 from common.maths.diagnostics import MEASURED
 from common.maths.networks import make_networks
 from common.maths.rkhs.make import make_representation
-from common.maths.state import Batch, LearnerState, Mirror, initial_state
+from common.maths.state import Batch, LearnerState, initial_state
 from common.maths.update import Metrics, make_update
 from common.tasks import TASKS
 from common.wire.messages import Rollout, digest_arrays
@@ -117,25 +117,22 @@ def _empty_batch(settings: RunSettings) -> Batch:
     steps, envs = settings.num_steps, settings.num_envs
     per_step = jnp.zeros((steps, envs), jnp.float32)
     flag = jnp.zeros((steps, envs), jnp.bool_)
-    observation = jnp.zeros((envs, task.observation_size), jnp.float32)
+    obs = jnp.zeros((envs, task.observation_size), jnp.float32)
     branches = settings.branches
-    mirror = Mirror(
-        action=jnp.zeros((branches, task.action_size), jnp.float32),
-        reward=per_step[0, :branches],
-        terminated=flag[0, :branches],
-        truncated=flag[0, :branches],
-        next_observation=observation[:branches],
-    )
     return Batch(
-        observation=jnp.zeros((steps, envs, task.observation_size), jnp.float32),
+        obs=jnp.zeros((steps, envs, task.observation_size), jnp.float32),
         action=jnp.zeros((steps, envs, task.action_size), jnp.float32),
         log_prob=per_step,
         reward=per_step,
         terminated=flag,
         truncated=flag,
-        last_observation=observation,
-        truncated_obs=observation,
+        last_obs=obs,
+        truncated_obs=obs,
         slot=jnp.zeros((settings.actors,), jnp.int32),
         fresh=jnp.zeros((settings.actors,), jnp.bool_),
-        mirror=mirror,
+        mirror_action=jnp.zeros((branches, task.action_size), jnp.float32),
+        mirror_reward=per_step[0, :branches],
+        mirror_terminated=flag[0, :branches],
+        mirror_truncated=flag[0, :branches],
+        mirror_obs=obs[:branches],
     )

@@ -42,9 +42,9 @@ def stepped(
 @cache
 def _step(representation: Representation[Any, Any], decay: float) -> Any:
     @jax.jit
-    def step(function: Any, momentum: Any, z: Array, alpha: Array, pool: Array) -> tuple[Any, Any]:
-        function, momentum = representation.average(function, momentum, z, alpha, lambda k: pool[:k], decay=decay)
-        return representation.apply(function, momentum, 1.0, shrinkage=0.0), momentum
+    def step(function: Any, state: Any, z: Array, alpha: Array, pool: Array) -> tuple[Any, Any]:
+        function, state = representation.average(function, state, z, alpha, lambda k: pool[:k], decay=decay)
+        return representation.apply(function, state, 1.0, shrinkage=0.0), state
 
     return step
 

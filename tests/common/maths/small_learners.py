@@ -15,7 +15,7 @@ from common.learners import LEARNERS
 from common.maths import trees
 from common.maths.networks import Networks, make_networks
 from common.maths.rkhs.make import make_representation
-from common.maths.state import Batch, LearnerState, Mirror, initial_state
+from common.maths.state import Batch, LearnerState, initial_state
 from common.maths.update import Metrics, Update, make_update
 
 GAMMA = 0.5
@@ -98,30 +98,30 @@ def random_batch(learner: SmallLearner, seed: int, *, ends: bool = True) -> Batc
 
     cut = normal(envs, networks.observation_size)
     return Batch(
-        observation=normal(steps, envs, networks.observation_size),
+        obs=normal(steps, envs, networks.observation_size),
         action=normal(steps, envs, networks.action_size),
         log_prob=-1.0 - jnp.square(normal(steps, envs)),
         reward=normal(steps, envs),
         terminated=jnp.asarray(terminated),
         truncated=jnp.asarray(truncated),
-        last_observation=normal(envs, networks.observation_size),
+        last_obs=normal(envs, networks.observation_size),
         truncated_obs=jnp.where(jnp.asarray(truncated.any(axis=0))[:, None], cut, 0.0),
         slot=jnp.arange(slots, dtype=jnp.int32),
         fresh=jnp.arange(slots) % 2 == 1,
-        mirror=mirror_image(normal, settings.branches, networks),
+        **mirror_image(normal, settings.branches, networks),
     )
 
 
-def mirror_image(normal: Callable[..., jax.Array], branches: int, networks: Networks) -> Mirror:
+def mirror_image(normal: Callable[..., jax.Array], branches: int, networks: Networks) -> Arrays:
     """Standard normal numbers; every third step terminates, every third is truncated. `branches` may be 0."""
     kind = jnp.arange(branches) % 3
-    return Mirror(
-        action=normal(branches, networks.action_size),
-        reward=normal(branches),
-        terminated=kind == 1,
-        truncated=kind == 2,
-        next_observation=normal(branches, networks.observation_size),
-    )
+    return {
+        "mirror_action": normal(branches, networks.action_size),
+        "mirror_reward": normal(branches),
+        "mirror_terminated": kind == 1,
+        "mirror_truncated": kind == 2,
+        "mirror_obs": normal(branches, networks.observation_size),
+    }
 
 
 def changed(state: LearnerState, **arrays: np.ndarray | float) -> LearnerState:

@@ -70,7 +70,7 @@ def test_without_features_the_kernel_sees_observations() -> None:
     batch = random_batch(small, 0)
     state, _ = small.step(small.start, batch)
     centre = np.asarray(state.expansion.centres[0])
-    steps = np.asarray(batch.observation, np.float64)
+    steps = np.asarray(batch.obs, np.float64)
     so_far = [steps[: t + 1].reshape(-1, 3) for t in range(len(steps))]
     # The prior weighs as 1e-4 of an observation, beside 16 in the first step.
     seen = [(steps[t] - values.mean(axis=0)) / values.std(axis=0) for t, values in enumerate(so_far)]
@@ -83,7 +83,7 @@ def test_q_learners_weigh_by_the_lambda_return_and_a_learners_by_the_normalised_
     Both with drift 0: at ratio 1 there is none.
     """
     samples = Samples(
-        observation=jnp.zeros((2, 3), jnp.float32),
+        obs=jnp.zeros((2, 3), jnp.float32),
         action=jnp.ones((2, 2), jnp.float32),
         log_prob=jnp.zeros(2, jnp.float32),
         value=jnp.asarray([10.0, 20.0], jnp.float32),
@@ -114,7 +114,7 @@ def test_the_second_head_adds_to_the_first() -> None:
     for name in ("kernel", "bias"):
         path = f"parameters/policy/features/layers/0/{name}"
         np.testing.assert_array_equal(ours_arrays[path], dpo_arrays[path])
-    observation = random_batch(ours, 0).observation[0]
+    observation = random_batch(ours, 0).obs[0]
     mean = policy.evaluate(
         ours.networks,
         ours.update.representation,

@@ -13,7 +13,7 @@ from update_cases import (
     case,
     reference_moments,
     reference_policy,
-    seen,
+    whitened,
 )
 
 PAIRS = 4
@@ -26,29 +26,28 @@ def test_a_pair_moves_h_by_the_mean_of_its_two_actions():
     """
     given = case("reskpn", "symmetric")
     batch, before = given.batch, given.before
-    mirror = batch.mirror
-    assert (bool(mirror.terminated.any()), bool(mirror.truncated.any())) == (True, True)
+    assert (bool(batch.mirror_terminated.any()), bool(batch.mirror_truncated.any())) == (True, True)
     moments, reward = reference_moments(before, batch)
-    mirror_reward = np.asarray(mirror.reward, np.float64) / np.sqrt(moments["returns/variance"])
-    inputs = seen(given.learner, before, batch)
-    observation = inputs.observation[-1]
+    mirror_reward = np.asarray(batch.mirror_reward, np.float64) / np.sqrt(moments["returns/variance"])
+    inputs = whitened(given.learner, before, batch)
+    observation = inputs.obs[-1]
     value = np.array([reference.value(before, o) for o in observation])
 
     def one_step(reward, next_observation, terminated):
         after = np.array([reference.value(before, o) for o in next_observation])
         return reward + GAMMA * np.where(terminated, 0.0, after) - value
 
-    ended_at = np.where(np.asarray(batch.truncated[-1])[:, None], inputs.cut, inputs.last)
+    ended_at = np.where(np.asarray(batch.truncated[-1])[:, None], inputs.truncated_obs, inputs.last_obs)
     advantage = np.stack(
         [
             one_step(reward[-1], ended_at, np.asarray(batch.terminated[-1])),
-            one_step(mirror_reward, inputs.mirrored, np.asarray(mirror.terminated)),
+            one_step(mirror_reward, inputs.mirror_obs, np.asarray(batch.mirror_terminated)),
         ]
     )
     advantage = (advantage - advantage.mean()) / advantage.std()
     arrays = {**given.after, **{key: before[key] for key in ("expansion/centres", "expansion/weights")}}
     alphas = np.zeros((PAIRS, 2))
-    for gains, actions in zip(advantage, (batch.action[-1], mirror.action), strict=True):
+    for gains, actions in zip(advantage, (batch.action[-1], batch.mirror_action), strict=True):
         for k in range(PAIRS):
             action = np.asarray(actions[k], np.float64)
             mean, log_std = reference_policy(arrays, observation[k])

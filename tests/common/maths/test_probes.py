@@ -18,7 +18,7 @@ from small_learners import ENVS, GAMMA, SLOTS, STEPS, UPDATES, probe_learner
 
 from common.maths import gaussians, policy
 from common.maths.policy import Policy
-from common.maths.state import Batch, LearnerState, Mirror
+from common.maths.state import Batch, LearnerState
 
 Observe = Callable[[np.random.Generator], np.ndarray]
 Reward = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -71,23 +71,21 @@ def collect(name: str, state: LearnerState, probe: Probe, rng: np.random.Generat
     action, log_prob = actor(name)(state.policy, jnp.asarray(observation.reshape(-1, 1)), noise)
     reward = probe.reward(observation, np.asarray(action).reshape(STEPS, ENVS))
     return Batch(
-        observation=jnp.asarray(observation[..., None]),
+        obs=jnp.asarray(observation[..., None]),
         action=action.reshape(STEPS, ENVS, 1),
         log_prob=log_prob.reshape(STEPS, ENVS),
         reward=jnp.asarray(reward, jnp.float32),
         terminated=jnp.asarray(probe.last(observation)),
         truncated=jnp.zeros((STEPS, ENVS), jnp.bool_),
-        last_observation=jnp.asarray(seen[-1, :, None]),
+        last_obs=jnp.asarray(seen[-1, :, None]),
         truncated_obs=jnp.zeros((ENVS, 1), jnp.float32),
         slot=jnp.arange(SLOTS, dtype=jnp.int32),
         fresh=jnp.zeros(SLOTS, jnp.bool_),
-        mirror=Mirror(
-            action=jnp.zeros((0, 1)),
-            reward=jnp.zeros(0),
-            terminated=jnp.zeros(0, jnp.bool_),
-            truncated=jnp.zeros(0, jnp.bool_),
-            next_observation=jnp.zeros((0, 1)),
-        ),
+        mirror_action=jnp.zeros((0, 1)),
+        mirror_reward=jnp.zeros(0),
+        mirror_terminated=jnp.zeros(0, jnp.bool_),
+        mirror_truncated=jnp.zeros(0, jnp.bool_),
+        mirror_obs=jnp.zeros((0, 1)),
     )
 
 

@@ -11,7 +11,7 @@ from functions import as_dtype, gaussian_sum, points, rkhs_norm, stepped, value
 from common.maths.kernels import gaussian
 from common.maths.rkhs.clustering import Cluster
 from common.maths.rkhs.exact import Exact
-from common.maths.rkhs.pursuit import Pursuit
+from common.maths.rkhs.matching_pursuit import KernelMatchingPursuit
 
 WIDTH = 2.0
 KERNEL = gaussian(WIDTH)
@@ -66,7 +66,7 @@ def test_what_joined_a_centre_that_gives_way_goes_with_it() -> None:
     np.testing.assert_array_equal(state[0].weights[:, 0], [7.0, 1.0])
 
 
-def filled(pursuit: Pursuit, centres: np.ndarray, weights: np.ndarray) -> tuple:
+def filled(pursuit: KernelMatchingPursuit, centres: np.ndarray, weights: np.ndarray) -> tuple:
     """h with these centres and weights, v = 0, in float64."""
     function, momentum = as_dtype(pursuit.empty(centres.shape[1], weights.shape[1]), jnp.float64)
     used = np.arange(pursuit.capacity) < len(centres)
@@ -89,7 +89,7 @@ def test_pursuit_takes_out_what_others_stand_in_for() -> None:
     with jax.enable_x64(True):
         centres = np.array([[0.0, 0.0], [1.0, 1.0], [0.0, 0.0]])
         weights = np.array([[1.0], [2.0], [4.0]])
-        pursuit = Pursuit(KERNEL, 3, 0.0)
+        pursuit = KernelMatchingPursuit(KERNEL, 3, 0.0)
         new = np.array([[5.0, 5.0]])
         function, momentum = stepped(pursuit, filled(pursuit, centres, weights), new, np.array([[3.0]]))
         expected = gaussian_sum(
@@ -107,7 +107,7 @@ def test_pursuit_costs_what_the_projection_loses() -> None:
     """
     with jax.enable_x64(True):
         centres, weights = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[1.0], [3.0]])
-        pursuit = Pursuit(KERNEL, 2, 0.0)
+        pursuit = KernelMatchingPursuit(KERNEL, 2, 0.0)
         state = stepped(pursuit, filled(pursuit, centres, weights), np.array([[9.0, 9.0]]), np.array([[0.5]]))
         k = np.exp(-0.5)
         np.testing.assert_allclose(state[0].weights[:, 0], [0.5, 3 + k], rtol=1e-9)
@@ -122,7 +122,7 @@ def test_pruning_never_errs_more_than_it_may(error: float) -> None:
     """
     with jax.enable_x64(True):
         centres, weights = points(20, 2, seed=3), 0.3 * points(20, 2, seed=4)
-        pursuit = Pursuit(KERNEL, 24, error)
+        pursuit = KernelMatchingPursuit(KERNEL, 24, error)
         state = stepped(pursuit, filled(pursuit, centres, weights), np.zeros((1, 2)), np.zeros((1, 2)))
         kept = np.asarray(state[0].centres), np.asarray(state[0].weights)
         moved, bound = distance((centres, weights), kept), float(state[1].error)
@@ -135,7 +135,7 @@ def test_pruning_never_errs_more_than_it_may(error: float) -> None:
 def test_without_allowance_centres_go_only_for_room_and_the_bound_holds() -> None:
     """Room for 8, six steps of two: never more than 8, all used once full, each step within its bound."""
     with jax.enable_x64(True):
-        pursuit = Pursuit(KERNEL, 32, 0.0)
+        pursuit = KernelMatchingPursuit(KERNEL, 32, 0.0)
         state = filled(pursuit, points(31, 2, seed=5), points(31, 2, seed=6))
         before = np.asarray(state[0].centres), np.asarray(state[0].weights)
         state = stepped(pursuit, state, ELSEWHERE[:2], np.zeros((2, 2)))
@@ -147,7 +147,7 @@ def test_without_allowance_centres_go_only_for_room_and_the_bound_holds() -> Non
 def test_pursuit_projects_the_gradient_of_a_large_batch() -> None:
     """Of 40 transitions 32/16 = 2 become centres; h gets the projection, equal to the gradient at all centres."""
     with jax.enable_x64(True):
-        pursuit = Pursuit(KERNEL, 32, 0.0)
+        pursuit = KernelMatchingPursuit(KERNEL, 32, 0.0)
         state = filled(pursuit, points(6, 2, seed=5), np.zeros((6, 2)))
         z, alpha = points(40, 2, seed=7), points(40, 2, seed=8)
         function, momentum = stepped(pursuit, state, z, alpha)
@@ -165,7 +165,7 @@ def test_a_new_centre_is_judged_by_what_it_will_be() -> None:
     come nine times sqrt(0.1^2 + 0.9^2) = 0.906.
     """
     with jax.enable_x64(True):
-        pursuit = Pursuit(KERNEL, 2, 0.0)
+        pursuit = KernelMatchingPursuit(KERNEL, 2, 0.0)
         state = filled(pursuit, np.array([[0.0, 0.0]]), np.array([[0.5]]))
         state = stepped(pursuit, state, np.array([[20.0, 0.0]]), np.array([[1.0]]), decay=0.9)
         state = stepped(pursuit, state, np.array([[0.0, 20.0]]), np.array([[0.0]]), decay=0.9)

@@ -46,7 +46,7 @@ NO_PAIRS = Pairs(transitions()[:0], transitions()[:0])
 def run(step: FunctionalStep, state: Any, updates: int, **changes: Any) -> tuple[Any, Any, Any, Any]:
     """h, v and metrics after that many steps, and the compiled function."""
     compiled = jax.jit(step)
-    function, momentum, metrics = state.expansion, state.momentum, {}
+    function, momentum, metrics = state.expansion, state.representation_state, {}
     for i in range(updates):
         batch = transitions(i)
         function, momentum, metrics = compiled(
@@ -64,7 +64,7 @@ def test_growth_past_the_budget_compiles_once(name: str) -> None:
     step, state = functional(representation=name, capacity=16, samples=4, radius=0.05, step="trust-region")
     function, momentum, _, compiled = run(step, state, 20)
     assert compiled._cache_size() == 1
-    shapes = jax.tree.map(jnp.shape, (state.expansion, state.momentum))
+    shapes = jax.tree.map(jnp.shape, (state.expansion, state.representation_state))
     assert jax.tree.map(jnp.shape, (function, momentum)) == shapes
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((function, momentum)))
     assert int(step.representation.size(function, momentum)) == 16
@@ -87,7 +87,7 @@ def test_the_trust_region_spends_its_target(name: str) -> None:
     function, _, metrics, _ = run(step, state, 1)
     batch = transitions(0)
     network = step.networks.bind_policy(state.parameters["policy"])
-    features = network.features(batch.observation) * np.float32(6**-0.5)
+    features = network.features(batch.obs) * np.float32(6**-0.5)
     moved = np.asarray(step.representation.evaluate(function, features), np.float64)
     assert 0.5 * np.mean(np.sum(moved**2, axis=1)) == pytest.approx(0.01, rel=1e-3)
     assert float(metrics["rkhs/scale"]) > 0
@@ -97,9 +97,9 @@ def test_without_a_direction_there_is_no_step() -> None:
     """Equal advantages everywhere are normalised to 0: v = 0, and no division makes a number of it."""
     step, state = functional(representation="rff", capacity=16, samples="batch", step="trust-region")
     batch = transitions(0)
-    batch = Samples(batch.observation, batch.action, batch.log_prob, batch.value, jnp.ones(COUNT, jnp.float32))
+    batch = Samples(batch.obs, batch.action, batch.log_prob, batch.value, jnp.ones(COUNT, jnp.float32))
     function, _, _ = jax.jit(step)(
-        state.expansion, state.momentum, state.parameters["policy"], batch, NO_PAIRS, jax.random.key(0)
+        state.expansion, state.representation_state, state.parameters["policy"], batch, NO_PAIRS, jax.random.key(0)
     )
     np.testing.assert_array_equal(function.weights, 0.0)
 
@@ -108,7 +108,7 @@ def test_shrinkage_gives_up_a_part_of_h() -> None:
     """h <- (1 - 0.25) h + s v."""
     step, state = functional(representation="exact", capacity=4)
     function = type(state.expansion)(state.expansion.centres, jnp.full((4, 2), 8.0, jnp.float32))
-    momentum = type(state.momentum)(jnp.full((4, 2), 0.5, jnp.float32), state.momentum.added)
+    momentum = type(state.representation_state)(jnp.full((4, 2), 0.5, jnp.float32), state.representation_state.added)
     shrunk = step.representation.apply(function, momentum, 2.0, shrinkage=0.25)
     np.testing.assert_array_equal(shrunk.weights, 0.75 * 8.0 + 2.0 * 0.5)
 

@@ -85,7 +85,7 @@ def test_drawn_transitions_are_of_the_batch_and_vary():
     """Every update draws n different transitions of its batch; over updates other ones."""
     learner = probe_learner("reskpn")
     batch = random_batch(learner, seed=0)
-    observations = np.asarray(batch.observation, np.float64).reshape(-1, 1)
+    observations = np.asarray(batch.obs, np.float64).reshape(-1, 1)
     drawn = []
     for version in range(2):
         after = double(trees.to_arrays(learner.step(changed(learner.start, version=version), batch)[0]))
@@ -123,7 +123,7 @@ def test_growth_does_not_recompile():
     assert during == 0
     assert len(compiled) == 1  # the count does see a compilation
     assert sizes == [CAPACITY - DRAWN, CAPACITY, CAPACITY, CAPACITY]
-    assert state.momentum.added == CAPACITY + 2 * DRAWN
+    assert state.representation_state.added == CAPACITY + 2 * DRAWN
 
 
 def test_metrics_are_float32_scalars():

@@ -13,7 +13,6 @@ from small_learners import Arrays, SmallLearner, changed, random_batch, small_le
 from common.config.settings import AlgorithmSettings, RkhsSettings, RunSettings
 from common.maths import trees
 from common.maths.state import Batch, LearnerState
-from common.maths.update import Seen
 
 GAMMA, LAMBDA, CLIP, VALUE_COEFFICIENT, ENTROPY_COEFFICIENT = 0.9, 0.8, 0.2, 0.5, 0.01
 BANDWIDTH, ETA, MOMENTUM = 0.5, 0.1, 0.9
@@ -82,7 +81,7 @@ def in_the_middle(learner: SmallLearner, seed: int = 0) -> LearnerState:
 def with_ratios(learner: SmallLearner, state: LearnerState, batch: Batch, log_ratio: np.ndarray) -> Batch:
     """The batch with log-probabilities from which the state's policy differs by the ratios given, [T, E]."""
     arrays = double(trees.to_arrays(state))
-    log_prob, observation = np.zeros(log_ratio.shape), seen(learner, arrays, batch).observation
+    log_prob, observation = np.zeros(log_ratio.shape), whitened(learner, arrays, batch).obs
     for index in np.ndindex(log_ratio.shape):
         mean, log_std = reference_policy(arrays, observation[index])
         log_prob[index] = reference.log_prob(mean, log_std, np.asarray(batch.action[index], np.float64))
@@ -94,12 +93,12 @@ def double(arrays: Arrays) -> Arrays:
     return {name.removeprefix("parameters/"): array.astype(np.float64) for name, array in arrays.items()}
 
 
-def seen(learner: SmallLearner, before: Arrays, batch: Batch) -> Seen:
-    """The observations as the policy that acted saw them: whitened by moments that take in each step first.
+def whitened(learner: SmallLearner, before: Arrays, batch: Batch) -> Batch:
+    """The batch with observations as the policy that acted saw them: whitened by moments that take in each step first.
 
     Every rollout (two environments) starts from the moments before; what was not acted on is whitened by its last.
     """
-    raw = [batch.observation, batch.last_observation, batch.truncated_obs, batch.mirror.next_observation]
+    raw = [batch.obs, batch.last_obs, batch.truncated_obs, batch.mirror_obs]
     steps, last, cut, mirrored = (np.array(x, np.float64) for x in raw)
     if learner.settings.algorithm.normalise_observations:
         for envs in (slice(0, 2), slice(2, 4)):
@@ -109,7 +108,7 @@ def seen(learner: SmallLearner, before: Arrays, batch: Batch) -> Seen:
                 at_t[:] = (at_t - moments[0]) / np.sqrt(moments[1])
             for others in (cut[envs], mirrored[envs]):
                 others[:] = (others - moments[0]) / np.sqrt(moments[1])
-    return Seen(steps, last, cut, mirrored)
+    return replace(batch, obs=steps, last_obs=last, truncated_obs=cut, mirror_obs=mirrored)
 
 
 def reference_policy(arrays: Arrays, observation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -167,7 +166,7 @@ def reference_moments(case_before: Arrays, batch: Batch) -> tuple[Arrays, np.nda
         case_before["discounted"], np.asarray(batch.slot), np.asarray(batch.fresh), *by_rollout, GAMMA
     )
     expected = {"discounted": carried}
-    observations = np.asarray(batch.observation, np.float64).reshape(-1, 2)
+    observations = np.asarray(batch.obs, np.float64).reshape(-1, 2)
     scaled = np.zeros_like(reward)
     for name, values in (("observations", [observations]), ("returns", every.transpose(1, 0, 2).reshape(3, 4))):
         moments = tuple(case_before[f"{name}/{part}"] for part in ("mean", "variance", "count"))
@@ -181,11 +180,11 @@ def reference_moments(case_before: Arrays, batch: Batch) -> tuple[Arrays, np.nda
 def reference_transitions(learner: SmallLearner, before: Arrays, batch: Batch) -> list[reference.Transition]:
     """Observations as they were seen, rewards scaled, advantages by the critic as it stood."""
     _, reward = reference_moments(before, batch)
-    inputs = seen(learner, before, batch)
-    observation = inputs.observation
+    inputs = whitened(learner, before, batch)
+    observation = inputs.obs
     value = np.array([[reference.value(before, o) for o in row] for row in observation])
-    last_value = np.array([reference.value(before, o) for o in inputs.last])
-    cut_value = np.array([reference.value(before, o) for o in inputs.cut])
+    last_value = np.array([reference.value(before, o) for o in inputs.last_obs])
+    cut_value = np.array([reference.value(before, o) for o in inputs.truncated_obs])
     if not learner.settings.algorithm.bootstrap_at_truncation:
         cut_value = np.zeros_like(cut_value)
     truncated = np.asarray(batch.truncated)

@@ -13,7 +13,7 @@ def test_environments_lie_side_by_side_in_the_order_given() -> None:
     first, second = rollout(1, "b", seq=4), rollout(0, "a", seq=2)
     batch = assemble([first, second])
     pairs = {
-        "observation": "obs",
+        "obs": "obs",
         "action": "action",
         "log_prob": "log_prob",
         "reward": "reward",
@@ -25,8 +25,8 @@ def test_environments_lie_side_by_side_in_the_order_given() -> None:
         assert made.shape[:2] == (3, 4), name
         np.testing.assert_array_equal(made[:, :2], getattr(first, field), err_msg=name)
         np.testing.assert_array_equal(made[:, 2:], getattr(second, field), err_msg=name)
-    np.testing.assert_array_equal(batch.last_observation[:2], first.last_obs)
-    np.testing.assert_array_equal(batch.last_observation[2:], second.last_obs)
+    np.testing.assert_array_equal(batch.last_obs[:2], first.last_obs)
+    np.testing.assert_array_equal(batch.last_obs[2:], second.last_obs)
     assert np.asarray(batch.slot).tolist() == [1, 0]
 
 
@@ -34,16 +34,16 @@ def test_one_rollout_is_a_batch() -> None:
     """With one actor the batch is the rollout."""
     made = rollout(0, "a", seq=3)
     batch = assemble([made])
-    np.testing.assert_array_equal(batch.observation, made.obs)
+    np.testing.assert_array_equal(batch.obs, made.obs)
     np.testing.assert_array_equal(batch.reward, made.reward)
-    np.testing.assert_array_equal(batch.last_observation, made.last_obs)
+    np.testing.assert_array_equal(batch.last_obs, made.last_obs)
     assert np.asarray(batch.slot).tolist() == [0]
 
 
 def test_dtypes() -> None:
     """Numbers are float32, flags bool and slots int32, as the update was compiled for."""
     batch = assemble([rollout(0, "a"), rollout(1, "b")])
-    for name in ("observation", "action", "log_prob", "reward", "last_observation", "truncated_obs"):
+    for name in ("obs", "action", "log_prob", "reward", "last_obs", "truncated_obs"):
         assert getattr(batch, name).dtype == np.float32, name
     for name in ("terminated", "truncated", "fresh"):
         assert getattr(batch, name).dtype == np.bool_, name

@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float, Int
 
 from common.maths.expansion import Expansion
 from common.maths.kernels import diagonal, gram
-from common.maths.rkhs.clustering import Dated, mean_age
+from common.maths.rkhs.clustering import ClusterState, mean_age
 from common.maths.rkhs.nystrom import inverse_root
-from common.maths.rkhs.representation import OfKernels, Spread
+from common.maths.rkhs.representation import OfKernels, SampleFeatures
 
 ADMITTED = 16
 """At most capacity / ADMITTED transitions of a step become centres; the gradient of the rest is projected."""
@@ -22,7 +22,7 @@ ADMITTED = 16
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Pruned(Dated):
+class PursuitState(ClusterState):
     """`used`: rows that hold a centre; `error`: bound on the RKHS distance the last step's pruning moved h."""
 
     used: Bool[Array, "M"]
@@ -42,7 +42,7 @@ class _Pruning:
 
 @final
 @dataclass(frozen=True)
-class Pursuit(OfKernels[Pruned]):
+class KernelMatchingPursuit(OfKernels[PursuitState]):
     """Before a step, centres are taken out until there is room, and while that costs at most `error` in all.
 
     Taking out centre j and refitting the others by projection moves h by |w_j| / sqrt(H_jj) in the RKHS, with H the
@@ -56,13 +56,13 @@ class Pursuit(OfKernels[Pruned]):
 
     error: float
 
-    def empty(self, feature_size: int, action_size: int) -> tuple[Expansion, Pruned]:
+    def empty(self, feature_size: int, action_size: int) -> tuple[Expansion, PursuitState]:
         m = self.capacity
         weights = jnp.zeros((m, action_size), jnp.float32)
         zero = jnp.zeros((), jnp.int32)
         used = jnp.zeros((m,), jnp.bool_)
-        momentum = Pruned(weights, zero, jnp.zeros((m,), jnp.int32), zero, used, jnp.zeros((), jnp.float32))
-        return Expansion(jnp.zeros((m, feature_size), jnp.float32), weights), momentum
+        state = PursuitState(weights, zero, jnp.zeros((m,), jnp.int32), zero, used, jnp.zeros((), jnp.float32))
+        return Expansion(jnp.zeros((m, feature_size), jnp.float32), weights), state
 
     def admitted(self, samples: int) -> int:
         """New centres of a step."""
@@ -71,73 +71,75 @@ class Pursuit(OfKernels[Pruned]):
     def average(
         self,
         function: Expansion,
-        momentum: Pruned,
+        state: PursuitState,
         features: Float[Array, "n d"],
         coefficients: Float[Array, "n A"],
-        spread: Spread,
+        sample_features: SampleFeatures,
         *,
         decay: float,
-    ) -> tuple[Expansion, Pruned]:
+    ) -> tuple[Expansion, PursuitState]:
         count = features.shape[0]
         wanted = self.admitted(count)
-        function, momentum = self._make_room(function, momentum, wanted, decay)
+        function, state = self._make_room(function, state, wanted, decay)
         chosen = jnp.arange(count, dtype=jnp.int32)
         if wanted < count:
-            chosen = self._worst(function, momentum.used, features, coefficients, wanted)
-        rows = jnp.nonzero(~momentum.used, size=wanted)[0].astype(jnp.int32)
-        used = momentum.used.at[rows].set(True)
+            chosen = self._worst(function, state.used, features, coefficients, wanted)
+        rows = jnp.nonzero(~state.used, size=wanted)[0].astype(jnp.int32)
+        used = state.used.at[rows].set(True)
         function = Expansion(function.centres.at[rows].set(features[chosen]), function.weights)
-        gradient = jnp.zeros_like(momentum.velocity).at[rows].add(coefficients[chosen])
+        gradient = jnp.zeros_like(state.velocity).at[rows].add(coefficients[chosen])
         if wanted < count:
             inverse = self._inverse(function.centres, used)
             across = gram(self.kernel, function.centres, features) @ coefficients
             gradient = inverse @ jnp.where(used[:, None], across, 0.0)
-        return function, Pruned(
-            velocity=decay * momentum.velocity + (1.0 - decay) * gradient,
-            added=momentum.added + wanted,
-            born=momentum.born.at[rows].set(momentum.updates),
-            updates=momentum.updates + 1,
+        return function, PursuitState(
+            velocity=decay * state.velocity + (1.0 - decay) * gradient,
+            added=state.added + wanted,
+            born=state.born.at[rows].set(state.updates),
+            updates=state.updates + 1,
             used=used,
-            error=momentum.error,
+            error=state.error,
         )
 
-    def size(self, function: Expansion, momentum: Pruned) -> Int[Array, ""]:
-        return jnp.sum(momentum.used, dtype=jnp.int32)
+    def size(self, function: Expansion, state: PursuitState) -> Int[Array, ""]:
+        return jnp.sum(state.used, dtype=jnp.int32)
 
-    def age(self, momentum: Pruned, samples: int) -> Float[Array, ""]:
-        return mean_age(momentum, momentum.used)
+    def age(self, state: PursuitState, samples: int) -> Float[Array, ""]:
+        return mean_age(state, state.used)
 
-    def figures(self, momentum: Pruned) -> dict[str, Array]:
-        return {"pruning_error": momentum.error}
+    def figures(self, state: PursuitState) -> dict[str, Array]:
+        return {"pruning_error": state.error}
 
-    def _make_room(self, function: Expansion, momentum: Pruned, wanted: int, decay: float) -> tuple[Expansion, Pruned]:
+    def _make_room(
+        self, function: Expansion, state: PursuitState, wanted: int, decay: float
+    ) -> tuple[Expansion, PursuitState]:
         """Take out centres until `wanted` rows are free, and while the error allows."""
         size = function.weights.shape[1]
         ahead = decay / (1.0 - decay)  # v's share of all steps to come, were there no new gradients
 
         def prune(_: None) -> _Pruning:
-            inverse = self._inverse(function.centres, momentum.used)
-            targets = jnp.concatenate([function.weights, ahead * momentum.velocity], axis=1)
+            inverse = self._inverse(function.centres, state.used)
+            targets = jnp.concatenate([function.weights, ahead * state.velocity], axis=1)
             return jax.lax.while_loop(
                 lambda pruning: self._worth(pruning, wanted),
                 _take_out,
-                _Pruning(inverse, targets, momentum.used, jnp.zeros((), inverse.dtype)),
+                _Pruning(inverse, targets, state.used, jnp.zeros((), inverse.dtype)),
             )
 
         def leave(_: None) -> _Pruning:
             pruning = jax.eval_shape(prune, None)
             nothing = jnp.zeros(pruning.inverse.shape, pruning.inverse.dtype)
-            targets = jnp.concatenate([function.weights, ahead * momentum.velocity], axis=1)
-            return _Pruning(nothing, targets, momentum.used, jnp.zeros((), nothing.dtype))
+            targets = jnp.concatenate([function.weights, ahead * state.velocity], axis=1)
+            return _Pruning(nothing, targets, state.used, jnp.zeros((), nothing.dtype))
 
-        full = jnp.sum(~momentum.used) < wanted
+        full = jnp.sum(~state.used) < wanted
         pruned = prune(None) if self.error else jax.lax.cond(full, prune, leave, None)
         weights = jnp.where(pruned.used[:, None], pruned.targets[:, :size], 0.0)
-        velocity = momentum.velocity
+        velocity = state.velocity
         if ahead:
             velocity = jnp.where(pruned.used[:, None], pruned.targets[:, size:] / ahead, 0.0)
-        return Expansion(function.centres, weights), Pruned(
-            velocity, momentum.added, momentum.born, momentum.updates, pruned.used, pruned.spent.astype(jnp.float32)
+        return Expansion(function.centres, weights), PursuitState(
+            velocity, state.added, state.born, state.updates, pruned.used, pruned.spent.astype(jnp.float32)
         )
 
     def _worth(self, pruning: _Pruning, wanted: int) -> Bool[Array, ""]:
