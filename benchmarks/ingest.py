@@ -1,9 +1,9 @@
-"""What it costs a learner to take in rollouts, by number of actors, and how many actors one learner can serve.
+"""The learner's cost of receiving rollouts, by number of actors, and the number of actors one learner can serve.
 
     python -m benchmarks.ingest --json ingest.json
 
-The learner's hub, fleet and log are the real ones and so are all messages; but nothing is learned, and the actors push
-a rollout that was made up once. A bare socket takes messages of the same size from as many processes in the same turn.
+The learner's hub, fleet, log and all messages are real, but there are no updates, and the actors push a synthetic
+rollout. In each turn a bare socket receives messages of the same size from as many processes, for comparison.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from common.wire.endpoint import free_port
 END_S = 20.0
 
 ACTOR_STEPS_PER_S = {"hopper": 27_800.0, "humanoid": 12_100.0}
-"""Of a real actor with one core: the steps for a second of CPU time in docs/physics.md."""
+"""Environment steps per second of a real actor with one core: the steps per CPU second in docs/physics.md."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """One number of actors: the learner's side, and bytes a second of the bare socket."""
+    """Results for one number of actors: the learner's side, and bytes per second of the bare socket."""
 
     ingest: Ingest
     socket_bytes_per_s: float
@@ -50,12 +50,12 @@ class Point:
 
     @property
     def cpu_per_rollout_s(self) -> float:
-        """CPU seconds of the learner for a rollout, the share of its actor's snapshot and of the orders included."""
+        """The learner's CPU seconds per rollout, including its share of snapshots and orders."""
         return self.ingest.cpu_s / self.ingest.rollouts
 
 
 def measure(task: str, actors: int, envs: int, steps: int, seconds: float) -> Point:
-    """One learner with so many actors, each with `envs` environments. ProcessError where a process fails."""
+    """Measure one learner with `actors` actors of `envs` environments each. Raises ProcessError if a process fails."""
     settings = RunSettings.model_validate(
         {
             "task": task,
@@ -75,7 +75,7 @@ def measure(task: str, actors: int, envs: int, steps: int, seconds: float) -> Po
 
 @contextmanager
 def _actors(settings: RunSettings) -> Iterator[None]:
-    """The actors' processes, which leave by themselves when the run is over, and not later than this block."""
+    """The actors' processes. They exit at the end of the run, and at the latest with this context."""
     command = [sys.executable, "-m", "benchmarks.ingest_actor", settings.transport.endpoint]
     processes = [subprocess.Popen(command, env=bare_environment()) for _ in range(settings.actors)]
     try:
@@ -126,7 +126,7 @@ class Limit:
 
 
 def limit(points: Sequence[Point], actor_steps_per_s: float) -> Limit:
-    """From the point with the highest throughput; what an actor costs is from the point with the most actors."""
+    """Estimate from the point with the highest throughput; the cost per actor is from that with the most actors."""
     best = max(points, key=lambda point: point.bytes_per_s)
     largest = max(points, key=lambda point: point.ingest.actors)
     steps = best.ingest.steps_per_rollout

@@ -1,4 +1,4 @@
-"""A learner that does all but learn: the real hub, fleet and log, and policies of the real size.
+"""A learner without updates: the real hub, fleet and log, and policies of the real size.
 
 `python -m benchmarks.ingest_learner SETTINGS FOLDER SECONDS` prints one JSON object. SETTINGS is a run's as JSON.
 """
@@ -30,7 +30,7 @@ WARM_UP = 3
 
 @dataclass(frozen=True)
 class Ingest:
-    """What was measured; CPU seconds are of the whole process, its log and network threads included.
+    """Measured values; CPU seconds are those of the whole process, including its log and network threads.
 
     Attributes:
         idle_cpu: CPU seconds a second while the actors are there and have nothing to do.
@@ -49,7 +49,7 @@ class Ingest:
 
 
 class Server:
-    """A run without updates: one version after the other, each as soon as all its rollouts are in the log."""
+    """Publish one version after the other, each as soon as all rollouts of the last are in the log."""
 
     def __init__(self, settings: RunSettings, hub: Hub, log: LogWriter) -> None:
         self._settings = settings
@@ -60,7 +60,7 @@ class Server:
         self.snapshot_bytes = len(hub.publish(make_snapshot(RUN, 0, self._arrays), collect=False))
 
     def measure(self, seconds: float) -> Ingest:
-        """Idle for so long, then busy for so long. ProcessError where the actors do not come."""
+        """Measure an idle and then a busy period. Raises ProcessError if the actors do not join."""
         actors = self._settings.actors
         self._tick_until(lambda: self._hub.actors() == actors)
         began_s, began_cpu_s = time.perf_counter(), time.process_time()
@@ -83,7 +83,7 @@ class Server:
         )
 
     def _next(self) -> list[Rollout]:
-        """Publish the next version, and take its rollouts as the learner's loop does."""
+        """Publish the next version and receive its rollouts as the learner's loop does."""
         self.version += 1
         self._hub.publish(make_snapshot(RUN, self.version, self._arrays))
         deadline_s = time.monotonic() + JOIN_S
@@ -100,12 +100,12 @@ class Server:
         while not condition():
             self._hub.announce()
             if time.monotonic() > deadline_s:
-                raise ProcessError(f"only {self._hub.actors()} actors came; their words are on standard error")
+                raise ProcessError(f"only {self._hub.actors()} actors joined; their messages are on standard error")
             time.sleep(TICK_S)
 
 
 def serve(settings: RunSettings, folder: Path, seconds: float) -> Ingest:
-    """Listen at the settings' endpoint until all has been measured."""
+    """Listen at the settings' endpoint until the measurement is complete."""
     transport = settings.transport
     with (
         open_session(listen=[transport.endpoint], max_message_size=transport.max_message_bytes) as session,

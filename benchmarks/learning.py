@@ -1,9 +1,9 @@
-"""Whether this project's PPO and DPO learn as well as a separate implementation of them (`benchmarks.reference`).
+"""Compares the learning of this project's PPO and DPO with a separate implementation (`benchmarks.reference`).
 
     python -m benchmarks.learning --task hopper --learners ppo dpo --steps 1.5e6 --seeds 3 --out build/learning
 
-Every run is a process of its own and leaves one JSON file in the folder; runs whose files are there are not made again,
-so the command can be stopped and given again. `summary-<task>.json` holds the figures and all curves.
+Every run is a separate process that writes one JSON file to the folder; runs whose files are there are not repeated,
+so the command can be stopped and restarted. `summary-<task>.json` contains the results and all curves.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Trial:
         return f"{self.task}-{self.learner}-{self.implementation}-s{self.seed}.json"
 
     def run(self) -> dict[str, Any]:
-        """Train in a fresh process. `return_sum` and `episodes` are by update, of the episodes that ended in it."""
+        """Train in a new process. `return_sum` and `episodes` are per update, of the episodes that ended in it."""
         shared = ["--task", self.task, "--learner", self.learner, "--physics", self.physics]
         shared += ["--num-envs", str(self.num_envs), "--seed", str(self.seed)]
         if self.implementation == "reference":
@@ -55,7 +55,7 @@ class Trial:
 
 
 def result_of(trial: Trial, folder: Path) -> dict[str, Any]:
-    """The trial's result, out of the folder where it is there.
+    """The trial's result, read from the folder if it is already there.
 
     Raises:
         SettingsError: the file there is of a trial with other options.
@@ -77,7 +77,7 @@ def result_of(trial: Trial, folder: Path) -> dict[str, Any]:
 
 
 def curve(result: dict[str, Any]) -> np.ndarray:
-    """Mean training return by update [U]; where no episode ended, on the line between the updates around.
+    """Mean training return per update [U]; linearly interpolated over updates in which no episode ended.
 
     Raises:
         SettingsError: no episode ended at all.
@@ -92,13 +92,13 @@ def curve(result: dict[str, Any]) -> np.ndarray:
 
 
 def measures(returns: np.ndarray) -> dict[str, float]:
-    """The figures in `MEASURES` of one curve."""
+    """The values of `MEASURES` for one curve."""
     late = max(1, len(returns) // 10)
     return {"last tenth": float(returns[-late:].mean()), "area": float(returns.mean())}
 
 
 def difference_interval(own: Sequence[float], reference: Sequence[float]) -> tuple[float, float] | None:
-    """95% bootstrap interval of mean(own) - mean(reference), seeds drawn anew on each side by itself.
+    """95% bootstrap interval of mean(own) - mean(reference), with seeds resampled independently on each side.
 
     None of a single seed, which says nothing about others.
     """
@@ -114,7 +114,7 @@ def difference_interval(own: Sequence[float], reference: Sequence[float]) -> tup
 
 
 def compare(own: Sequence[dict[str, Any]], reference: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Figures of one learner by measure: per seed on each side, and the difference of the means."""
+    """Values of one learner by measure: per seed on each side, and the difference of the means."""
     found: dict[str, Any] = {}
     for name in MEASURES:
         sides = {
@@ -128,7 +128,7 @@ def compare(own: Sequence[dict[str, Any]], reference: Sequence[dict[str, Any]]) 
 
 
 def table(figures: dict[str, Any], seeds: int) -> Iterator[str]:
-    """The figures by learner for a person."""
+    """Readable lines with the values by learner."""
     heads = "".join(f"{f'seed {seed}':>10}" for seed in range(seeds))
     yield f"{'':28}{heads}{'mean':>10}"
     for learner, found in figures.items():

@@ -1,10 +1,10 @@
-"""What the log costs: processor time of writing rollouts at a run's pace, and how fast they are read back.
+"""The cost of the log: CPU time of writing rollouts at a run's rate, and the speed of reading them.
 
     python -m benchmarks.log --rate 22 --seconds 20
 
-Messages of the size of a real rollout are handed to the writer evenly, as a learner does; the processor time of
-the same process without a log is taken off, pair by pair. The bytes are written to `--folder`, or to the system's
-place for temporary files.
+Messages of the size of a real rollout are passed to the writer at an even rate, as a learner does; the CPU time of the
+same process without a log is subtracted, pair by pair. The log is written to `--folder`, by default the system's
+directory for temporary files.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from common.log.writer import LogWriter
 from common.memory import keep_large_blocks
 
 GOAL_SHARE = 0.03
-"""Of one core, at 22 MB/s."""
+"""Upper bound on the share of one core at 22 MB/s."""
 
 GOAL_READING = 1.0
 """GB/s."""
@@ -38,7 +38,7 @@ MB = 1_000_000
 
 @dataclass(frozen=True)
 class Load:
-    """What is written: so many MB a second, in messages of so many MB, for so many seconds."""
+    """The load: MB per second, MB per message, and duration in seconds."""
 
     rate: float
     message: float
@@ -47,7 +47,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Figures:
-    """Medians over the rounds, and every round: cores that the log took, its thread at work, and GB/s of reading."""
+    """Medians over the rounds, and every round: cores used, busy share of the log's thread, and GB/s of reading."""
 
     share: float
     shares: list[float]
@@ -56,7 +56,7 @@ class Figures:
 
 
 def paced(load: Load, write: Callable[[bytes], None]) -> tuple[float, float]:
-    """Hand over messages at the load's pace; wall and processor seconds that it took, the last flush included."""
+    """Write messages at the load's rate; returns wall and CPU seconds, including the last flush."""
     data = np.random.default_rng(0).bytes(round(load.message * MB))
     began_s, began_cpu_s = time.perf_counter(), time.process_time()
     for number in range(max(1, round(load.seconds * load.rate / load.message))):
@@ -67,7 +67,7 @@ def paced(load: Load, write: Callable[[bytes], None]) -> tuple[float, float]:
 
 
 def one_round(load: Load, folder: Path) -> tuple[float, float, float]:
-    """(share of a core that the log took, share of the time that its thread was at work, GB/s of reading)."""
+    """(share of a core used by the log, busy share of its thread, GB/s of reading)."""
     wall_s, idle_cpu_s = paced(load, lambda _: None)
     with tempfile.TemporaryDirectory(prefix="reskpn-log-", dir=folder) as place, LogWriter(Path(place)) as log:
 
@@ -87,18 +87,18 @@ def one_round(load: Load, folder: Path) -> tuple[float, float, float]:
 
 
 def measure(load: Load, rounds: int, folder: Path) -> Figures:
-    """The figures over so many rounds."""
+    """Measure over `rounds` rounds."""
     found = [one_round(load, folder) for _ in range(rounds)]
     shares, at_work, reading = (list(values) for values in zip(*found, strict=True))
     return Figures(statistics.median(shares), shares, statistics.median(at_work), statistics.median(reading))
 
 
 def table(figures: Figures) -> Iterator[str]:
-    """The figures for a person."""
+    """Readable lines with the results."""
     yield f"{'':34}{'measured':>12}{'goal':>8}"
-    yield f"{'cores that the log takes':34}{figures.share:>12.4f}{GOAL_SHARE:>8.2f}"
+    yield f"{'cores used by the log':34}{figures.share:>12.4f}{GOAL_SHARE:>8.2f}"
     yield f"{'  round by round':34}  {' '.join(f'{share:.4f}' for share in figures.shares)}"
-    yield f"{'share of time its thread is at work':36}{figures.at_work:>10.4f}"
+    yield f"{'busy share of its thread':36}{figures.at_work:>10.4f}"
     yield f"{'rollout messages read, GB/s':34}{figures.reading_gb_s:>12.2f}{GOAL_READING:>8.1f}"
 
 

@@ -1,4 +1,4 @@
-"""What a figure was measured on, and with what."""
+"""The machine and software on which a value was measured."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from common.runtime import cpu_model, software_versions, source_commit
 
 
 def machine() -> dict[str, str]:
-    """Cores that may be used, CPU model, load before the measurement, date, commit and versions."""
+    """Usable cores, CPU model, load average before the measurement, date, commit and versions."""
     return {
         "cores": str(len(os.sched_getaffinity(0))),
         "cpu": cpu_model(),
@@ -22,7 +22,7 @@ def machine() -> dict[str, str]:
 
 
 def describe(found: dict[str, str]) -> Iterator[str]:
-    """`machine()` for a person."""
+    """Readable lines for `machine()`."""
     yield f"{found['cores']} cores of {found['cpu']}; load {found['load']} at the start; {found['date']}"
     versions = ", ".join(f"{name} {found[name]}" for name in ("python", "jax", "mujoco", "eclipse-zenoh", "mcap"))
     yield f"commit {found['commit'][:12]}; {versions}"

@@ -1,10 +1,10 @@
-"""Whether a run's memory grows: resident memory of the learner and its actors, sampled over a real run.
+"""The growth of memory: resident memory of the learner and its actors, sampled over a real run.
 
     python -m benchmarks.memory --minutes 30
     python -m benchmarks.memory --minutes 5 --task hopper --learner ppo
 
-The first fifth of the samples is left out: compiling, first buffers. Further options are settings of the run, which is
-stopped when the time is over. Growth is the slope of a line through the other samples.
+The first fifth of the samples, with compilation and first buffers, is left out. Further options are settings of the
+run, which is stopped at the end. Growth is the slope of a line fitted to the other samples.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ STOP_S = 60.0
 
 @dataclass(frozen=True)
 class Growth:
-    """Resident memory of one process in MB, after the first samples, and its slope in MB an hour.
+    """Resident memory of one process in MB, after the first samples, and its slope in MB/hour.
 
     `first` and `last` are medians of the first and last tenth; `series` is every sample, those left out among them.
     """
@@ -54,7 +54,7 @@ class Growth:
 
 
 def growth(times_s: Sequence[float], resident_mb: Sequence[float]) -> Growth:
-    """The growth over the samples that count.
+    """The growth over the samples after the warm-up.
 
     Raises:
         ProcessError: there are too few.
@@ -71,7 +71,7 @@ def growth(times_s: Sequence[float], resident_mb: Sequence[float]) -> Growth:
 
 
 def services(parent: int) -> dict[str, int]:
-    """The process ids of the run's services by name: "learner", "actor 0", ...; those that are there."""
+    """The process ids of the run's live services by name: "learner", "actor 0", ..."""
     found: dict[str, int] = {}
     for pid in map(int, Path(f"/proc/{parent}/task/{parent}/children").read_text().split()):
         words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
@@ -82,13 +82,13 @@ def services(parent: int) -> dict[str, int]:
 
 
 def resident_mb(pid: int) -> float:
-    """What the process has in memory."""
+    """Resident memory of the process."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / MB
 
 
 def watch(process: subprocess.Popen[bytes], minutes: float) -> dict[str, tuple[list[float], list[float]]]:
-    """Samples by service: seconds and MB, for so many minutes.
+    """Sample memory for `minutes` minutes: seconds and MB by service.
 
     Raises:
         ProcessError: the run ends by itself.
@@ -107,7 +107,7 @@ def watch(process: subprocess.Popen[bytes], minutes: float) -> dict[str, tuple[l
 
 
 def measure(minutes: float, settings: Sequence[str]) -> tuple[dict[str, Growth], int]:
-    """Growth by service over a run of so many minutes, and the updates that it made."""
+    """Measure the growth by service over a run of `minutes` minutes, and its number of updates."""
     with tempfile.TemporaryDirectory(prefix="reskpn-memory-") as folder:
         run_dir = Path(folder) / "run"
         command = [sys.executable, "-m", "reskpn", "train", "--run-dir", str(run_dir), *settings]
@@ -124,8 +124,8 @@ def measure(minutes: float, settings: Sequence[str]) -> tuple[dict[str, Growth],
 
 
 def table(found: dict[str, Growth]) -> Iterator[str]:
-    """The figures for a person."""
-    yield f"{'resident MB':12}{'first':>9}{'last':>9}{'least':>9}{'most':>9}{'MB an hour':>13}"
+    """Readable lines with the results."""
+    yield f"{'resident MB':12}{'first':>9}{'last':>9}{'least':>9}{'most':>9}{'MB/hour':>13}"
     for name, grown in found.items():
         cells = "".join(f"{value:>9,.0f}" for value in (grown.first, grown.last, grown.least, grown.most))
         yield f"{name:12}{cells}{grown.an_hour:>13,.1f}"

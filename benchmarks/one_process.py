@@ -1,9 +1,9 @@
-"""The work of a run in one process: environments, policy and update, and nothing between them.
+"""A run in one process: environments, policy and update without a transport.
 
     python -m benchmarks.one_process --task hopper --learner dpo --num-envs 2048 --updates 40
 
-The same collector and trainer as the service's, the policy and the rollouts handed over in memory. No transport, no
-log, no checkpoint, no digest: what the service is measured against. Prints one JSON object on one line.
+The service's collector and trainer, with policy and rollouts passed in memory. Without transport, log, checkpoints and
+digests, it is the baseline for the service. Prints one JSON object on one line.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ class Step:
 
 
 class OneProcess:
-    """One actor's half and the learner's half of a run, taking turns."""
+    """One actor and the learner of a run, alternating in one process."""
 
     def __init__(self, settings: RunSettings) -> None:
-        """`settings.actors` must be 1. Compiles everything."""
+        """Compile everything. `settings.actors` must be 1."""
         self._assignment = Assignment("benchmark", 0, 0, "one-process", settings)
         self._trainer = Trainer(settings)
         self._reader = PolicyReader(settings)
@@ -61,7 +61,7 @@ class OneProcess:
         return self._collector.physics
 
     def step(self) -> Step:
-        """Collect with the newest policy and update on that."""
+        """Collect one rollout with the newest policy and update on it."""
         began_s = time.perf_counter()
         policy = self._reader.read(self._trainer.policy_arrays())
         collected, timing = self._collector.collect(policy)
@@ -81,12 +81,12 @@ class OneProcess:
         return Step(Episodes.of([rollout]), seconds)
 
     def digest(self) -> str:
-        """Hex digest of the learner's state: that of a service run with the same settings."""
+        """Hex digest of the learner's state, equal to that of a service run with the same settings."""
         return self._trainer.digest()
 
 
 def prepare() -> None:
-    """JAX as in an actor. Call it before anything is computed.
+    """Configure JAX as in an actor. Call this before any computation.
 
     The learner alone would leave asynchronous dispatch on; its update is as fast without, and gives the same bits.
     """
@@ -95,7 +95,7 @@ def prepare() -> None:
 
 
 def measure(settings: RunSettings, *, warm_up: int) -> dict[str, Any]:
-    """Make all updates of the run; speed and mean seconds by phase over those after the first `warm_up`.
+    """Make all updates of the run; returns speed and mean seconds by phase over those after the first `warm_up`.
 
     Raises:
         SettingsError: no update is left to be measured.
@@ -151,7 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _settings(settings: RunSettings, updates: int | None) -> RunSettings:
-    """The settings for one process and that many updates."""
+    """The settings for one process and `updates` updates."""
     if updates is None and "total_steps" not in settings.model_fields_set:
         updates = UPDATES
     steps = settings.total_steps if updates is None else updates * settings.batch_size

@@ -1,12 +1,11 @@
-"""How fast the physics engines are, and how far they agree: the tables of docs/physics.md.
+"""The speed of the physics engines and the agreement between them: the tables of docs/physics.md.
 
     python -m benchmarks.physics --tasks hopper --physics native --num-envs 2048
     python -m benchmarks.physics --tasks hopper --agreement
 
-Prints Markdown. Speed is the fastest of several rollouts with random actions, after one that is not counted; the
-rest of the machine should be idle. Steps for a second of CPU time (of all threads together) suffer less where it is
-not; times the number of cores, they are what an idle machine comes close to. Compiling MJX on a CPU takes about half a
-minute for each task.
+Prints Markdown. Speed is the fastest of several rollouts with random actions, after one for warm-up; the machine should
+otherwise be idle. Steps per second of CPU time (of all threads together) are less sensitive to other load; times the
+number of cores, they approach the speed of an idle machine. Compiling MJX on a CPU takes about half a minute per task.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from common.physics.environments import BatchedEnvironment, EnvState, Transition
 from common.tasks import TASKS
 
 MARKS = (1, 10, 50, 100)
-"""Steps after which the drift between the engines is reported."""
+"""Numbers of steps after which the drift between the engines is reported."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ def random_actions(env: BatchedEnvironment, key: jax.Array, steps: int) -> jax.A
 
 
 def speed(env: BatchedEnvironment, steps: int, repeats: int) -> Speed:
-    """Time `repeats` rollouts of `steps` steps each; the fastest counts."""
+    """Time `repeats` rollouts of `steps` steps each; returns the fastest."""
 
     @jax.jit
     def rollout(state: EnvState, key: jax.Array) -> EnvState:
@@ -74,13 +73,13 @@ def speed(env: BatchedEnvironment, steps: int, repeats: int) -> Speed:
 
 
 def clocks(env: BatchedEnvironment) -> np.ndarray:
-    """[3] seconds: of the clock, of this process's threads on the CPU, in the engine (NaN if not known)."""
+    """[3] seconds: wall clock, CPU time of this process, time in the engine (NaN if unknown)."""
     engine_s = env.physics_seconds()
     return np.array([time.perf_counter(), time.process_time(), np.nan if engine_s is None else engine_s])
 
 
 def speed_table(options: argparse.Namespace) -> Iterator[str]:
-    """One line for each task and engine."""
+    """One row per task and engine."""
     yield "| task | physics | envs | env steps/s | per CPU second | time in the engine | compiling | diverged |"
     yield "|---|---|---|---|---|---|---|---|"
     for task in options.tasks:
@@ -109,7 +108,7 @@ def drift(native: BatchedEnvironment, mjx: BatchedEnvironment, actions: jax.Arra
 
 
 def single_steps(native: BatchedEnvironment, mjx: BatchedEnvironment, actions: jax.Array) -> np.ndarray:
-    """The difference [T * N] after one step from the same state, all along a trajectory of the native engine."""
+    """The difference [T * N] after one step from the same state, along a trajectory of the native engine."""
     state, found = native.reset(jax.random.key(0)), []
     for action in actions:
         _, by_mjx = mjx.step(state, action)
@@ -119,12 +118,12 @@ def single_steps(native: BatchedEnvironment, mjx: BatchedEnvironment, actions: j
 
 
 def difference(one: Transition, other: Transition) -> np.ndarray:
-    """[N], the largest over the numbers of an observation."""
+    """[N], the largest over the components of an observation."""
     return np.asarray(jnp.abs(one.next_obs - other.next_obs).max(axis=1))
 
 
 def agreement_table(options: argparse.Namespace) -> Iterator[str]:
-    """One line for each task: drift over time, and the error of single steps."""
+    """One row per task: drift over time, and the error of single steps."""
     marks = " | ".join(f"after {mark}" for mark in MARKS)
     yield f"| task | {marks} | one step, median | one step, 99% | one step, largest |"
     yield "|---" * (len(MARKS) + 4) + "|"

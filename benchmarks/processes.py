@@ -1,4 +1,4 @@
-"""Fresh processes for measurements: no memory, compiled program or setting of an earlier one is left in them."""
+"""New processes for measurements, without memory, compiled programs or settings of earlier ones."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _ROOT = Path(__file__).parent.parent
 
 
 def bare_environment() -> dict[str, str]:
-    """This process's environment without settings of a run."""
+    """This process's environment variables without those that set a run's settings."""
     return {name: value for name, value in os.environ.items() if not name.startswith(PREFIX) or name in OTHER_VARIABLES}
 
 
 def run_module(module: str, arguments: Sequence[str]) -> str:
-    """What `python -m module arguments...` prints. The environment's settings do not reach it.
+    """The output of `python -m module arguments...`, run without settings from the environment.
 
     Raises:
         ProcessError: it fails; its last words are in the message.

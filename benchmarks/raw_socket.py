@@ -1,4 +1,4 @@
-"""Messages over bare TCP on loopback, each acknowledged before the next: what the machine itself can take in.
+"""Messages over bare TCP on loopback, each acknowledged before the next: the machine's own limit.
 
 `python -m benchmarks.raw_socket PORT BYTES` is a sender, which goes on until the receiver closes the connection.
 """
@@ -20,7 +20,7 @@ _CHUNK = 1 << 20
 
 
 def receive(size: int, senders: int, seconds: float) -> float:
-    """Bytes a second that this process takes in from so many processes, in messages of `size` bytes."""
+    """Bytes per second that this process receives from `senders` processes in messages of `size` bytes."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         command = [sys.executable, "-m", "benchmarks.raw_socket", str(port), str(size)]
@@ -35,7 +35,7 @@ def receive(size: int, senders: int, seconds: float) -> float:
 
 
 def _count(connections: Sequence[socket.socket], size: int, seconds: float) -> float:
-    """A thread for each connection, all of them timed together from the first message on."""
+    """Receive with one thread per connection, timed together from the first message on."""
     over = threading.Event()
     counts = [0] * len(connections)
 
@@ -60,7 +60,7 @@ def _count(connections: Sequence[socket.socket], size: int, seconds: float) -> f
 
 
 def _take(connection: socket.socket, size: int) -> bool:
-    """Read one message; whether it came whole."""
+    """Read one message; True if it was complete."""
     buffer = memoryview(bytearray(min(size, _CHUNK)))
     while size:
         got = connection.recv_into(buffer, min(size, _CHUNK))
@@ -71,7 +71,7 @@ def _take(connection: socket.socket, size: int) -> bool:
 
 
 def send(port: int, size: int) -> None:
-    """Messages of so many bytes, until nobody takes them any more."""
+    """Send messages of `size` bytes until the connection is closed."""
     message = bytes(size)
     with socket.create_connection(("127.0.0.1", port)) as connection:
         try:

@@ -1,10 +1,10 @@
-"""How soon a run goes on without an actor that was killed, and uses the one that takes its place.
+"""Recovery times: from the loss of an actor to the next update, and to the first use of its replacement.
 
     python -m benchmarks.recovery --rounds 5
     python -m benchmarks.recovery --task hopper --num-envs 512
 
-A learner and two actors run on this machine. Each round kills one of the actors, waits until the run has gone on,
-starts another, and waits until it is used. Other options are settings of the run, as `--name value`.
+A learner and two actors run on this machine. Each round kills one of the actors, waits for the next update,
+starts a replacement, and waits until one of its rollouts is used. Other options are settings of the run, as `--name value`.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from common.wire.endpoint import free_port
 from services.worker.state_file import read_state
 
 GOES_ON_S = 2.0
-"""Promised: from the moment a loss is noticed to the next update."""
+"""Promised seconds from the detection of a loss to the next update."""
 
 USED_S = 3.0
-"""Promised: from the moment a new actor has compiled to the first update made with a rollout of it."""
+"""Promised seconds from the end of a new actor's compilation to the first update with one of its rollouts."""
 
 DEADLINE_S = 180.0
 POLL_S = 0.1
@@ -52,7 +52,7 @@ RUN = {
 
 @dataclass(frozen=True)
 class Recovery:
-    """Seconds of one loss and one return: `noticed` from the kill to the learner's event, then as promised."""
+    """Seconds of one loss and replacement; `noticed` is from the kill to the learner's event."""
 
     noticed: float
     goes_on: float
@@ -61,7 +61,7 @@ class Recovery:
 
 @dataclass(frozen=True)
 class Timeline:
-    """What a log says of losses and of who was used when, in seconds of the learner's wall clock.
+    """Losses and the actors used by each update, read from a log, in seconds of the learner's wall clock.
 
     Attributes:
         updates: time of each, in order.
@@ -87,20 +87,20 @@ class Timeline:
         return found
 
     def went_on_s(self, loss: int) -> float | None:
-        """From that loss to the next update; None where there is none yet."""
+        """Seconds from that loss to the next update; None if there is none yet."""
         lost_s, _ = self.losses[loss]
         later = [at_s for at_s in self.updates if at_s >= lost_s]
         return later[0] - lost_s if later else None
 
 
 def compiled_at_s(state_file: Path) -> float | None:
-    """When an actor told, by its state file, that it had compiled; None while it has not."""
+    """The time at which an actor's state file first shows that it has compiled; None until then."""
     found = read_state(state_file)
     return found.time_s if found and found.state not in ("starting", "alone", "standing by", "compiling") else None
 
 
 class Service:
-    """A learner and its actors as processes of this machine; they end with it."""
+    """A learner and its actors as processes on this machine, which end with this context."""
 
     def __init__(self, folder: Path, options: Sequence[str]) -> None:
         self._stack = ExitStack()
@@ -127,13 +127,13 @@ class Service:
         return process
 
     def add_actor(self) -> tuple[subprocess.Popen[bytes], Path]:
-        """Its process and its state file."""
+        """Start an actor; returns its process and its state file."""
         state = self._folder / f"state-{self._count}.json"
         words = ("actor", "--endpoint", self._endpoint, "--threads", "1", "--state-file", str(state))
         return self._start(*words), state
 
     def wait_for(self, condition: Callable[[], object], what: str) -> None:
-        """ProcessError where it does not come to pass in time, or the learner ends."""
+        """Wait for a condition. Raises ProcessError after the deadline or if the learner exits."""
         end_s = time.monotonic() + DEADLINE_S
         while not condition():
             if self._learner.poll() is not None or time.monotonic() > end_s:
@@ -142,7 +142,7 @@ class Service:
             time.sleep(POLL_S)
 
     def timeline(self) -> Timeline:
-        """Of the log by now."""
+        """The events logged so far."""
         began = list((self.run_dir / "log").glob("*.mcap"))
         return Timeline.of(self.run_dir) if began else Timeline([], [], {})
 
@@ -151,7 +151,7 @@ class Service:
 
 
 def one_round(service: Service, number: int) -> Recovery:
-    """Kill the older actor, and put another in its place. Rounds count from 0."""
+    """Kill the older actor and start a replacement. Rounds count from 0."""
     process, _ = service.actors.pop(0)
     killed_s = time.time()
     process.send_signal(signal.SIGKILL)
@@ -173,7 +173,7 @@ def one_round(service: Service, number: int) -> Recovery:
 
 
 def measure(rounds: int, options: Sequence[str], folder: Path) -> Iterator[Recovery]:
-    """So many losses and returns in one run."""
+    """Measure `rounds` losses and replacements in one run."""
     service = Service(folder, options)
     try:
         service.wait_for(lambda: len(service.timeline().updates) >= SETTLED_UPDATES, "the first updates")
@@ -184,7 +184,7 @@ def measure(rounds: int, options: Sequence[str], folder: Path) -> Iterator[Recov
 
 
 def run_options(given: Sequence[str]) -> list[str]:
-    """The options of the run, of which those given win. SettingsError where one has no value."""
+    """The options of the run; those given take precedence. Raises SettingsError if one has no value."""
     if len(given) % 2:
         raise SettingsError(f"{given[-1]} has no value; give settings as --name value")
     chosen = RUN | dict(zip(given[::2], given[1::2], strict=True))
@@ -192,7 +192,7 @@ def run_options(given: Sequence[str]) -> list[str]:
 
 
 def table(found: Sequence[Recovery]) -> Iterator[str]:
-    """Median and worst of each figure, beside what is promised."""
+    """Median and worst of each value beside the promised one."""
     promised = {"noticed": None, "goes_on": GOES_ON_S, "used": USED_S}
     says = {
         "noticed": "killed, noticed",

@@ -1,4 +1,4 @@
-"""PPO and DPO for continuous actions in one file, in one process: what the project's own learner is held against.
+"""PPO and DPO for continuous actions in one file and one process: the reference for the project's own learner.
 
     python -m benchmarks.reference --task hopper --learner ppo --steps 1.5e6 --seed 0
 
@@ -39,7 +39,7 @@ LEARNERS = ("ppo", "dpo")
 
 @dataclass(frozen=True)
 class Recipe:
-    """What is trained, and how."""
+    """Settings of a training run."""
 
     task: str
     learner: str  # of LEARNERS
@@ -67,7 +67,7 @@ class Recipe:
 
 
 class Moments(NamedTuple):
-    """Mean and variance of so many values."""
+    """Mean, variance and number of values."""
 
     mean: Array
     variance: Array
@@ -75,12 +75,12 @@ class Moments(NamedTuple):
 
 
 def no_moments(shape: tuple[int, ...]) -> Moments:
-    """Next to nothing seen: mean 0, variance 1, number 1e-4."""
+    """Initial moments: mean 0, variance 1, number 1e-4."""
     return Moments(jnp.zeros(shape), jnp.ones(shape), jnp.float32(1e-4))
 
 
 def include(moments: Moments, values: Array) -> Moments:
-    """The moments once `values` [N, ...] are among them."""
+    """The moments updated with `values` [N, ...]."""
     n = values.shape[0]
     total = moments.number + n
     shift = values.mean(axis=0) - moments.mean
@@ -90,7 +90,7 @@ def include(moments: Moments, values: Array) -> Moments:
 
 
 def observe(moments: Moments, observation: Array) -> tuple[Moments, Array]:
-    """Take the observations in, then normalise them."""
+    """Update the moments with the observations, then normalise these."""
     moments = include(moments, observation)
     return moments, (observation - moments.mean) / jnp.sqrt(moments.variance + 1e-8)
 
@@ -141,7 +141,7 @@ def log_density(parameters: Parameters, observation: Array, action: Array) -> Ar
 
 
 class World(NamedTuple):
-    """The environments, the statistics by which they are seen, and the normalised observations [N, O]."""
+    """The environments, the normalisation statistics and the normalised observations [N, O]."""
 
     envs: EnvState
     observations: Moments
@@ -170,7 +170,7 @@ def open_world(environment: BatchedEnvironment, key: Array) -> World:
 def collect(
     recipe: Recipe, environment: BatchedEnvironment, parameters: Parameters, world: World, key: Array
 ) -> tuple[World, tuple[Step, tuple[Array, Array]]]:
-    """T steps, and for each the true returns of the episodes it ended: their sum and number [T]."""
+    """T steps; also returns the sum and number [T] of the unscaled returns of the episodes that ended at each."""
 
     def one_step(world: World, key: Array) -> tuple[World, tuple[Step, tuple[Array, Array]]]:
         mean = run_tower(parameters["actor"], world.observation)
@@ -196,7 +196,7 @@ def collect(
 
 
 def advantages(reward: Array, value: Array, done: Array, last_value: Array, gamma: float, gae_lambda: float) -> Array:
-    """Generalised advantages [T, N]; the end of an episode is worth 0, whether it was terminated or cut."""
+    """Generalised advantages [T, N]; the value after an episode is 0, whether it was terminated or truncated."""
 
     def backwards(carry: tuple[Array, Array], now: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], Array]:
         advantage, next_value = carry
@@ -217,7 +217,7 @@ def ppo_gain(log_ratio: Array, advantage: Array, clip: float) -> Array:
 
 
 def dpo_gain(log_ratio: Array, advantage: Array, alpha: float, beta: float) -> Array:
-    """Lu et al. 2022: r A less a drift that differs with the sign of A."""
+    """Lu et al. 2022: r A minus a drift that depends on the sign of A."""
     ratio = jnp.exp(log_ratio)
     up, down = (ratio - 1.0) * advantage, log_ratio * advantage
     drift = jnp.where(advantage >= 0.0, up - alpha * jnp.tanh(up / alpha), down - beta * jnp.tanh(down / beta))
@@ -225,7 +225,7 @@ def dpo_gain(log_ratio: Array, advantage: Array, alpha: float, beta: float) -> A
 
 
 def loss(recipe: Recipe, parameters: Parameters, samples: Step, advantage: Array, target: Array) -> Array:
-    """What is descended on a minibatch; all arguments [B, ...]."""
+    """The loss on a minibatch; all arguments are [B, ...]."""
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     log_ratio = log_density(parameters, samples.observation, samples.action) - samples.log_prob
     if recipe.learner == "ppo":
@@ -259,7 +259,7 @@ def update(recipe: Recipe, learned: Learned, rollout: Step, last_observation: Ar
 
 
 def train(recipe: Recipe, updates: int, seed: int) -> dict[str, Any]:
-    """Train; sum of the returns and number of the episodes that ended in each update's rollout, and the speed."""
+    """Train; returns the sum of returns and number of episodes that ended in each update's rollout, and the speed."""
     environment = make_environment(recipe.task, recipe.physics, num_envs=recipe.num_envs)
 
     @jax.jit
@@ -286,7 +286,7 @@ def train(recipe: Recipe, updates: int, seed: int) -> dict[str, Any]:
 
 
 def prepare() -> None:
-    """JAX as in the services. Call it before anything is computed."""
+    """Configure JAX as in the services. Call this before any computation."""
     enable_compilation_cache()
     engines.require_synchronous_dispatch()
 

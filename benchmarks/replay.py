@@ -1,4 +1,4 @@
-"""What a replay costs: verification against the run's own speed, and how fast its rollouts are read.
+"""The cost of a replay: verification relative to the run's own speed, and the speed of reading rollouts.
 
     python -m benchmarks.replay --run runs/x
     python -m benchmarks.replay --task hopper --learner dpo --total-steps 6e5
@@ -29,18 +29,18 @@ from services.learner.training.trainer import Trainer
 from services.replay.verify import Verdict, verify
 
 GOAL_SPEED = 1.2
-"""Verification by the run's own speed, at least."""
+"""Promised speed of verification relative to the run's own."""
 
 GOAL_READING = 1.0
-"""GB/s of rollout messages, at least."""
+"""Promised GB/s of reading rollout messages."""
 
 READ_BYTES = 2e9
-"""Read for a figure at least so much, if need be the same log again and again."""
+"""Minimum amount to read for one measurement, reading the same log repeatedly if necessary."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """Rollout messages read from a log that the system has in memory: GB/s as bytes, and decoded and checked."""
+    """Speed of reading rollout messages from a log in the page cache: GB/s as bytes, and decoded and checked."""
 
     megabytes: float
     bytes_gb_s: float
@@ -48,7 +48,7 @@ class Reading:
 
 
 def measure_verify(run_dir: Path, until: int | None) -> Verdict:
-    """Verify a run with the update compiled beforehand; its speed leaves out the first update."""
+    """Verify a run with a precompiled update; the run's speed excludes its first update."""
     run = open_run(run_dir)
     trainer = Trainer(run.settings)
     trainer.compile()
@@ -80,7 +80,7 @@ def _gb_s(read: Callable[[], int], passes: int, rounds: int) -> float:
 
 
 def table(verdict: Verdict, reading: Reading) -> Iterator[str]:
-    """The figures for a person."""
+    """Readable lines with the results."""
     assert verdict.speed is not None
     yield f"{'':34}{'measured':>12}{'goal':>8}"
     yield f"{'updates equal bit for bit':34}{verdict.updates:>12}"

@@ -1,14 +1,13 @@
-"""What the service costs: the same run in one process and as learner and actors, turn by turn, in fresh processes.
+"""The cost of the service: the same run in one process and as learner and actors, alternating, in new processes.
 
-`--reference` adds `benchmarks.reference`, the same work by another implementation in one process: a yardstick for the
-machine, whose speed everything else here depends on. In async mode the phases overlap, and what is learned from depends
-on the timing: only its speed can be compared.
+`--reference` adds `benchmarks.reference`, the same work by another implementation in one process, as a yardstick for the
+machine. In async mode the phases overlap and the data depend on timing, so that only the speed can be compared.
 
     make bench
     python -m benchmarks.service --task humanoid --learner reskpn --actors 1 2 --repeats 3 --json result.json
 
-Both sides are measured over the same updates, the first few left out: one process by its own clock, the service by
-the times of the `/update` messages in its log. Options that this command does not know go to both sides as settings.
+Both sides are measured over the same updates, without the first few: one process by its own clock, the service by the
+times of the `/update` messages in its log. Other options are passed to both sides as settings.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from common.log.reader import LogReader
 
 MODES = ("sync", "async")
 GOAL = 0.85
-"""Share of one process's speed that the service with one actor is to reach."""
+"""Promised speed of the service with one actor relative to one process."""
 
 NS = 1e-9
 PHASES = {
@@ -43,7 +42,7 @@ PHASES = {
     "publish": "snapshot encoded and announced",
     "transport": "orders, snapshot and rollout on their way, checked and logged",
 }
-"""One after the other; together they are the whole update."""
+"""Consecutive phases that make up the whole update."""
 
 BESIDE = {
     "wait": "learner's loop idle",
@@ -51,7 +50,7 @@ BESIDE = {
     "log": "the log's thread at work",
     "push": "from sending a rollout to its acknowledgement; within transport",
 }
-"""Overlap with the phases above."""
+"""Phases that overlap with those above."""
 
 
 REFERENCE = "reference"
@@ -72,7 +71,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is compared. `settings` are options of `reskpn train`."""
+    """The runs to compare. `settings` are options of `reskpn train`."""
 
     settings: list[str]
     batch_size: int
@@ -88,13 +87,13 @@ class Plan:
 
 
 def one_process(plan: Plan) -> Sample:
-    """The run without the service."""
+    """Run without the service, in one process."""
     result = run_json("benchmarks.one_process", [*plan.settings, "--warm-up", str(plan.warm_up)])
     return Sample(result["env_steps_per_s"], result["seconds"], result["state_digest"])
 
 
 def reference(plan: Plan) -> Sample:
-    """The same work by the other implementation; its clock leaves out the first update alone."""
+    """Run the reference implementation with the same sizes; its clock excludes only the first update."""
     options = dict(zip(plan.settings[::2], plan.settings[1::2], strict=True))
     words = [word for name in REFERENCE_SETTINGS for word in (option(name), options[option(name)])]
     result = run_json("benchmarks.reference", [*words, "--steps", options["--total-steps"]])
@@ -106,7 +105,7 @@ def option(name: str) -> str:
 
 
 def service(plan: Plan, actors: int, mode: str) -> Sample:
-    """The run as `reskpn train` makes it, its log read afterwards."""
+    """Run `reskpn train` and read the log afterwards."""
     with tempfile.TemporaryDirectory(prefix="reskpn-bench-") as folder:
         run_dir = Path(folder) / "run"
         places = ["--actors", str(actors), "--run-dir", str(run_dir), "--evaluation.episodes", "0", "--mode", mode]
@@ -122,7 +121,7 @@ def service(plan: Plan, actors: int, mode: str) -> Sample:
 
 
 def phases(records: Sequence[Mapping[str, float]], update_s: float) -> dict[str, float]:
-    """Mean seconds of an update by phase, from the `seconds` of the `/update` messages. Of actors, the slowest counts.
+    """Mean seconds per update by phase, from `seconds` in the `/update` messages; of actors, the slowest.
 
     Actors begin on the next rollout when a policy is published, while the learner still keeps its records. What is
     left of an update without the actors' and the learner's work is therefore the transport, not the learner's wait
@@ -141,7 +140,7 @@ def phases(records: Sequence[Mapping[str, float]], update_s: float) -> dict[str,
 def compare(
     plan: Plan, actors: Sequence[int], modes: Sequence[str], repeats: int, with_reference: bool = False
 ) -> dict[str, list[Sample]]:
-    """Samples by side ("one process", "reference", "1 actor", "1 actor async", ...), taken in turns."""
+    """Samples by side ("one process", "reference", "1 actor", "1 actor async", ...), taken in alternation."""
     sides: dict[str, Callable[[Plan], Sample]] = {"one process": one_process}
     if with_reference:
         sides[REFERENCE] = reference
@@ -160,7 +159,7 @@ def _name(actors: int, mode: str) -> str:
 
 
 def ratios(samples: Mapping[str, Sequence[Sample]], side: str) -> list[float]:
-    """Speed of a side over that of one process, pair by pair."""
+    """Speed of a side relative to one process, pairwise."""
     pairs = zip(samples[side], samples["one process"], strict=True)
     return [mine.env_steps_per_s / theirs.env_steps_per_s for mine, theirs in pairs]
 

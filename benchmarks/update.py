@@ -1,10 +1,10 @@
-"""What the RKHS part costs: the time of an update against PPO's, for every way to keep h.
+"""The cost of the RKHS part: the time of an update relative to PPO's, for every representation.
 
     python -m benchmarks.update --task hopper --task humanoid --rounds 5
 
-Updates of 20,480 random transitions of the task's sizes, 4 epochs of 32 minibatches, on all cores. The cases take
-turns, so that a busy machine is busy for all; a ratio is the median over the rounds of the time by PPO's time in the
-same round.
+Updates of 20,480 random transitions of the task's sizes, 4 epochs of 32 minibatches, on all cores. The cases
+alternate, so that other load affects all of them alike; a ratio is the median over the rounds of the time relative to
+PPO's in the same round.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Rkhs = dict[str, Any]
 
 @dataclass(frozen=True)
 class Case:
-    """A row of the table. Without `rkhs` it is PPO."""
+    """A row of the table; PPO if it has no `rkhs`."""
 
     name: str
     rkhs: Rkhs | None
@@ -75,7 +75,7 @@ WHOLE_EXACT = _case("exact", "batch", 20480)
 
 
 class Subject:
-    """A case, compiled, with the state it is in."""
+    """A compiled case and its state."""
 
     def __init__(self, case: Case, task: str) -> None:
         settings = RunSettings.model_validate(
@@ -101,7 +101,7 @@ class Subject:
         )
 
     def seconds(self) -> tuple[float, float]:
-        """The time of one more update, and the processor time of all cores, which other programs lengthen less."""
+        """Wall time of one more update and its CPU time, which other programs on the machine affect less."""
         began, used = time.perf_counter(), time.process_time()
         self._state, metrics = jax.block_until_ready(self._update(self._state, self._batch))
         elapsed = time.perf_counter() - began, time.process_time() - used
@@ -111,7 +111,7 @@ class Subject:
 
 
 def _random_batch(settings: RunSettings) -> Batch:
-    """Transitions as an untrained policy makes them, without an end of an episode."""
+    """Transitions of an untrained policy in which no episode ends."""
     rng = np.random.default_rng(0)
     task, steps, envs = TASKS[settings.task], settings.num_steps, settings.num_envs
 
@@ -140,7 +140,7 @@ def _random_batch(settings: RunSettings) -> Batch:
 
 
 def measure(task: str, cases: Sequence[Case], rounds: int) -> list[dict[str, Any]]:
-    """Name, median seconds and ratio to the first case for each, over that many rounds; one before is not counted."""
+    """Name, median seconds and ratio to the first case, over `rounds` rounds after one for warm-up."""
     subjects = [Subject(case, task) for case in cases]
     both = np.array([[subject.seconds() for subject in subjects] for _ in range(rounds + 1)])[1:]
     times, used = both[:, :, 0], both[:, :, 1]

@@ -1,1 +1,1 @@
-"""`make test-docker`: docker-compose.yml for real. See `__main__`."""
+"""`make test-docker`: tests docker-compose.yml with a real engine. See `__main__`."""

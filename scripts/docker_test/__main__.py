@@ -1,4 +1,4 @@
-"""Build the image, run docker-compose.yml through its story, and count: `python -m scripts.docker_test`.
+"""Build the image, run docker-compose.yml through all steps and count failures: `python -m scripts.docker_test`.
 
 Exit code 0 where all passed, 1 where something failed, 77 where no Docker engine is to be had here.
 """
@@ -44,7 +44,7 @@ def main() -> int:
 
 
 def _all_checks(engine: Engine, say: Callable[[str], None]) -> tuple[int, int]:
-    """How many passed and failed; after a failure the steps that follow it are left out."""
+    """Run the steps; returns the numbers that passed and failed. Steps after a failure are skipped."""
     name = f"reskpn-test-{secrets.token_hex(3)}"
     images = {"IMAGE": IMAGE, "TENSORBOARD_IMAGE": TENSORBOARD_IMAGE}
     with project(engine, name, **images, **SETTINGS) as made:
@@ -70,7 +70,7 @@ def _all_checks(engine: Engine, say: Callable[[str], None]) -> tuple[int, int]:
 
 
 def _plain_up(engine: Engine, name: str) -> None:
-    """`up` in the foreground, as a person says it: returns with exit code 0 once the run is over."""
+    """`up` in the foreground, as a user runs it: it returns with exit code 0 at the end of the run."""
     with project(engine, f"{name}-up", IMAGE=IMAGE, **SETTINGS | SHORT) as made:
         said = made.compose("up", "--no-build", timeout_s=600.0)
         assert "finished" in said, said
@@ -79,7 +79,7 @@ def _plain_up(engine: Engine, name: str) -> None:
 
 
 def _router(engine: Engine, name: str) -> None:
-    """By its profile, with certificates of this machine; its health check goes in by the same door as an actor."""
+    """The router, started by its profile with certificates of this machine; its health check connects like an actor."""
     with tempfile.TemporaryDirectory() as folder:
         certificates = Path(folder) / "certs"
         make_all(certificates, ["router"], days=1)

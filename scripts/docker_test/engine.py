@@ -1,4 +1,4 @@
-"""A Docker engine to test with: the machine's own, or a private one that ends with the test.
+"""A Docker engine for the test: the machine's own, or a private one that is removed afterwards.
 
 The private one needs nothing but Debian's packages: its base image is made from them, since there may be no registry
 of images to pull one from.
@@ -25,19 +25,19 @@ PROGRAMS = {
     "docker-compose": "docker-compose",
     "mmdebstrap": "mmdebstrap",
 }
-"""What a private engine needs, and Debian's packages that have it."""
+"""Commands that a private engine needs, and the Debian packages that contain them."""
 
 BASE_IMAGE = "local/python-base:bookworm"
 CERTIFICATES = "etc/ssl/certs/ca-certificates.crt"
 
 
 class CannotRun(Exception):
-    """There is no engine on this machine and none can be started."""
+    """No engine is available on this machine and none can be started."""
 
 
 @dataclass(frozen=True)
 class Engine:
-    """How to reach an engine: the environment of its clients, and the command that composes."""
+    """Access to an engine: the environment variables of its clients and the compose command."""
 
     environment: Mapping[str, str]
     compose: tuple[str, ...]
@@ -45,7 +45,7 @@ class Engine:
 
 @contextmanager
 def some_engine() -> Iterator[Engine]:
-    """The machine's engine if it answers, else a private one.
+    """The machine's engine if it responds, otherwise a private one.
 
     Raises:
         CannotRun: neither is to be had; says why.
@@ -58,7 +58,7 @@ def some_engine() -> Iterator[Engine]:
 
 
 def run(command: Sequence[str], environment: Mapping[str, str], timeout_s: float = 900.0) -> str:
-    """What the command prints; RuntimeError with the end of it where it fails."""
+    """The command's output. Raises RuntimeError with the end of it if the command fails."""
     done = subprocess.run(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=timeout_s
     )
@@ -110,7 +110,7 @@ def _install_packages() -> None:
 
 
 def _start(folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
-    """The daemon, once it answers. It touches neither the machine's firewall nor its bridges."""
+    """Start the daemon and wait until it responds. It changes neither the machine's firewall nor its bridges."""
     command = ["dockerd", "--data-root", f"{folder}/data", "--exec-root", f"{folder}/x", "-p", f"{folder}/pid"]
     command += ["-H", environment["DOCKER_HOST"], "--bridge=none", "--iptables=false", "--ip6tables=false"]
     command += ["--ip-forward=false", "--ip-masq=false"]
@@ -154,7 +154,7 @@ def _remove(folder: Path) -> None:
 
 
 def _quiet(command: Sequence[str], environment: Mapping[str, str]) -> bool:
-    """Whether a command succeeds."""
+    """True if a command succeeds."""
     return (
         subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode == 0
     )

@@ -1,4 +1,4 @@
-"""One project of containers: brought up, looked at, taken down."""
+"""One Compose project: started, inspected and removed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UPDATE = re.compile(r"update (\d+)/\d+")
 
 @dataclass(frozen=True)
 class Project:
-    """docker-compose.yml on an engine, under a name and with settings of its own."""
+    """docker-compose.yml on an engine, under a separate project name and with given settings."""
 
     engine: Engine
     environment: Mapping[str, str]
@@ -35,13 +35,13 @@ class Project:
         return run(["docker", *words], self.environment)
 
     def containers(self, service: str) -> list[str]:
-        """Ids of a service's containers, also of those that have ended."""
+        """Ids of a service's containers, including exited ones."""
         name = self.environment["COMPOSE_PROJECT_NAME"]
         labels = [f"label=com.docker.compose.{key}={value}" for key, value in (("project", name), ("service", service))]
         return self.docker("ps", "-aq", "--no-trunc", "--filter", labels[0], "--filter", labels[1]).split()
 
     def state(self, container: str) -> dict[str, Any]:
-        """What the engine knows of it: Status, ExitCode, Pid, StartedAt, Health."""
+        """The container's state: Status, ExitCode, Pid, StartedAt, Health."""
         found: list[dict[str, Any]] = json.loads(self.docker("inspect", container))
         return found[0]["State"] | {"RestartCount": found[0]["RestartCount"]}
 
@@ -49,15 +49,15 @@ class Project:
         return str(self.state(container)["Health"]["Status"])
 
     def words(self, container: str) -> str:
-        """What it has printed so far."""
+        """The container's output so far."""
         return self.docker("logs", container)
 
     def learner_words(self) -> str:
-        """Of the learner, if it is there yet."""
+        """The learner's container, if it has been created."""
         return "".join(self.words(container) for container in self.containers("learner"))
 
     def updates(self) -> int:
-        """Of how many updates the learner has told so far."""
+        """The number of updates that the learner has reported so far."""
         return max((int(found) for found in UPDATE.findall(self.learner_words())), default=0)
 
     def running(self) -> list[str]:
@@ -65,7 +65,7 @@ class Project:
         return [container for container in everyone if self.state(container)["Status"] in ("running", "restarting")]
 
     def wait_for(self, what: str, condition: Callable[[], object], deadline_s: float = 300.0) -> None:
-        """Until the condition holds. AssertionError after the time, with what the containers say."""
+        """Wait until the condition holds. Raises AssertionError with the containers' output after the time."""
         end = time.monotonic() + deadline_s
         while not condition():
             assert time.monotonic() < end, f"{what}: not within {deadline_s:.0f} s.\n{self.last_words()}"
@@ -81,7 +81,7 @@ class Project:
 
 
 def build(engine: Engine, image: str, target: str = "service") -> None:
-    """An image as docker-compose.yml names its base; with the host's network, for the build alone downloads."""
+    """Build the image; with the host's network, since only the build downloads anything."""
     base = engine.environment.get("BASE_IMAGE")
     arguments = ["--build-arg", f"BASE_IMAGE={base}"] if base else []
     command = ["docker", "build", "--network=host", *arguments, "--target", target, "-t", image, str(ROOT)]
@@ -90,7 +90,7 @@ def build(engine: Engine, image: str, target: str = "service") -> None:
 
 @contextmanager
 def project(engine: Engine, name: str, **settings: str) -> Iterator[Project]:
-    """A project that leaves no container, network or volume behind."""
+    """A project whose containers, networks and volumes are removed at the end."""
     clean = {key: value for key, value in engine.environment.items() if not key.startswith("RESKPN_")}
     made = Project(engine, {**clean, **settings, "COMPOSE_PROJECT_NAME": name})
     try:

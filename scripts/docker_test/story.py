@@ -1,4 +1,4 @@
-"""What is done to one run in containers, step by step, and what must come of it.
+"""The steps of one run in containers, and their expected results.
 
 Three slots and two actors; one actor is killed, the fleet is scaled to three, one process crashes, then the
 learner does, and the run ends; an evaluator is beside it all the time.
@@ -50,7 +50,7 @@ JOINED = re.compile(r"slot (\d) \(generation (\d+)\): native on \S+, incarnation
 
 @dataclass
 class Story:
-    """One run; the steps follow each other."""
+    """One run; the steps build on each other."""
 
     project: Project
     killed: str = ""
@@ -60,7 +60,7 @@ class Story:
     log: Logged = field(init=False)
 
     def steps(self) -> dict[str, Callable[[], None]]:
-        """By what they show."""
+        """The steps by the property they show."""
         return {
             "first updates with two of three actors": self.first_updates,
             "learner, two actors and the evaluator are healthy": self.all_are_healthy,
@@ -75,7 +75,7 @@ class Story:
         }
 
     def first_updates(self) -> None:
-        """Up with two actors, the run begins, without the third slot's actor."""
+        """With two actors the run begins, without the third slot's actor."""
         self.began_s = time.time()
         self.project.compose("up", "-d", "--no-build")
         self.project.wait_for("the first update", lambda: self.project.updates() >= 1)
@@ -83,13 +83,13 @@ class Story:
         assert "no actor after 20 s in slot 2: others do its work" in self.project.learner_words()
 
     def all_are_healthy(self) -> None:
-        """The learner answers joins, the others have a policy."""
+        """The learner answers join requests, the others hold a policy."""
         everyone = [one for service in SERVICES for one in self.project.containers(service)]
         assert len(everyone) == 4
         self.project.wait_for("health", lambda: {self.project.health(one) for one in everyone} == {"healthy"})
 
     def one_is_killed(self) -> None:
-        """As by an operator, who does not want it back: the other one does its work."""
+        """Killed as by an operator, it is not restarted: the other actor does its work."""
         self.killed = self.project.containers("actor")[0]
         self.project.docker("kill", self.killed)
         self.project.wait_for("its loss", lambda: "is gone" in self.project.learner_words())
@@ -98,7 +98,7 @@ class Story:
         assert self.project.state(self.killed)["Status"] == "exited"
 
     def scaled_to_three(self) -> None:
-        """During the run, which goes on in the same learner; the one that was killed is among them again."""
+        """During the run, in the same learner; the killed actor is started again as one of them."""
         learner = self.project.containers("learner")
         self.project.compose("up", "-d", "--no-build", "--scale", "actor=3")
         actors = self.project.containers("actor")
@@ -108,14 +108,14 @@ class Story:
         assert self.project.containers("learner") == learner
 
     def one_crashes(self) -> None:
-        """It is started again by the engine, and gets a slot."""
+        """The engine restarts it, and it joins with a slot."""
         self.crashed = next(one for one in self.project.containers("actor") if one != self.killed)
         os.kill(int(self.project.state(self.crashed)["Pid"]), signal.SIGKILL)
         self.project.wait_for("a restart", lambda: self.project.state(self.crashed)["RestartCount"] == 1)
         self.project.wait_for("its return", lambda: len(self._joined()) == 5)
 
     def learner_crashes(self) -> None:
-        """The engine starts it again, it resumes, and the same actors join it."""
+        """The engine restarts the learner, it resumes, and the same actors rejoin."""
         (learner,) = self.project.containers("learner")
         actors = self.project.containers("actor")
         before, crash_s = self.project.updates(), time.monotonic()
@@ -128,7 +128,7 @@ class Story:
         assert {self.project.state(one)["Status"] for one in actors} == {"running"}
 
     def the_run_ends(self) -> None:
-        """All by itself: every container stops, each with exit code 0, the summary in what the learner said."""
+        """Every container stops by itself with exit code 0, and the learner prints the summary."""
         self.project.wait_for("the end", lambda: not self.project.running(), deadline_s=1200.0)
         everyone = [one for service in SERVICES for one in self.project.containers(service)]
         codes = {one[:12]: self.project.state(one)["ExitCode"] for one in everyone}
@@ -138,7 +138,7 @@ class Story:
         assert f"{UPDATES * ENVS * STEPS:,} steps in {UPDATES} updates" in words
 
     def the_summary(self) -> None:
-        """On the volume: complete, of the steps asked for, by the native engine."""
+        """The summary on the volume: complete, with the requested steps and the native engine."""
         with tempfile.TemporaryDirectory() as folder:
             self.project.docker("cp", f"{self.project.containers('learner')[0]}:/data/runs/.", folder)
             runs = list(Path(folder).iterdir())
@@ -151,7 +151,7 @@ class Story:
         assert summary["state_digest"] == self.log.updates[-1]["state_digest"]
 
     def the_log(self) -> None:
-        """Every update once and in order, its transitions logged before it, by actors that joined."""
+        """The log has every update once and in order, its transitions before it, from actors that joined."""
         assert [update["version"] for update in self.log.updates] == list(range(1, UPDATES + 1))
         assert self.log.unlogged == 0
         assert all(len(update["rollouts"]) == SLOTS for update in self.log.updates)
@@ -166,7 +166,7 @@ class Story:
         assert {used["slot"] for update in self.log.updates for used in update["rollouts"]} == {0, 1, 2}
 
     def the_evaluations(self) -> None:
-        """By the evaluator, before the learner's crash and after it; TensorBoard has the curve of them."""
+        """Evaluations from before and after the learner's crash; TensorBoard shows their curve."""
         sources = {source for source, _ in self.log.evaluations if source != "run"}
         assert len(sources) == 2, f"the evaluator joins each learner under a new name: {self.log.evaluations}"
         assert ("run", UPDATES) in self.log.evaluations
@@ -181,13 +181,13 @@ class Story:
         return self.log.first_update_s - self.began_s
 
     def _joined(self) -> set[tuple[str, ...]]:
-        """(slot, generation, incarnation) of every actor that joined so far."""
+        """(slot, generation, incarnation) of every actor that has joined so far."""
         return {found.groups() for found in JOINED.finditer(self.project.learner_words())}
 
 
 @dataclass(frozen=True)
 class Logged:
-    """A run's updates, how many of the rollouts they name were not in the log before them, and the first one's time."""
+    """A run's updates, the number of their rollouts not logged before them, and the time of the first update."""
 
     updates: list[dict[str, Any]]
     unlogged: int
@@ -196,7 +196,7 @@ class Logged:
     """Source and version."""
 
     def used_by_life(self) -> dict[str, int]:
-        """How many rollouts of each incarnation were used."""
+        """The number of rollouts used, by incarnation."""
         counts: dict[str, int] = defaultdict(int)
         for update in self.updates:
             for used in update["rollouts"]:
