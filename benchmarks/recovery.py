@@ -4,7 +4,8 @@
     python -m benchmarks.recovery --task hopper --num-envs 512
 
 A learner and two actors run on this machine. Each round kills one of the actors, waits for the next update,
-starts a replacement, and waits until one of its rollouts is used. Other options are settings of the run, as `--name value`.
+starts a replacement, and waits until one of its rollouts is used. Other options are settings of
+the run.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The cost of the service: the same run in one process and as learner and actors, alternating, in new processes.
 
-`--reference` adds `benchmarks.reference`, the same work by another implementation in one process, as a yardstick for the
-machine. In async mode the phases overlap and the data depend on timing, so that only the speed can be compared.
+`--reference` adds `benchmarks.reference`, the same work by another implementation in one process, as a yardstick
+for the machine. In async mode the phases overlap and the data depend on timing, so that only the speed can be compared.
 
     make bench
     python -m benchmarks.service --task humanoid --learner reskpn --actors 1 2 --repeats 3 --json result.json

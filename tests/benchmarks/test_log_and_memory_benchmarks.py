@@ -61,5 +61,5 @@ def test_the_cost_of_the_log(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert len(figures["shares"]) == 2
     assert 0.0 < figures["at_work"] < 1.0
     assert figures["reading_gb_s"] > 0.0
-    assert "cores that the log takes" in capsys.readouterr().out
+    assert "cores used by the log" in capsys.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["x.json"]
