@@ -45,6 +45,8 @@ class AlgorithmSettings(Section):
     """weight of the value loss"""
     entropy_coefficient: NotNegative = 0.0
     """weight of the entropy bonus"""
+    max_log_std: Positive | None = None
+    """bound on |log_std|, kept after every step of Adam; default: none"""
     dpo_alpha: Positive = 2.0
     """DPO drift for positive advantages"""
     dpo_beta: Positive = 0.6

@@ -84,6 +84,14 @@ class PolicyNetwork(nnx.Module):
         self.log_std = nnx.Param(jnp.zeros((action_size,), jnp.float32))
 
 
+def within_bound(parameters: Parameters, max_log_std: float | None) -> Parameters:
+    """The parameters with every |log_std| at most the bound; as they are where there is none."""
+    if max_log_std is None:
+        return parameters
+    log_std = jnp.clip(parameters["policy"]["log_std"], -max_log_std, max_log_std)
+    return {**parameters, "policy": {**parameters["policy"], "log_std": log_std}}
+
+
 class Critic(nnx.Module):
     """The state value V: R^O -> R."""
 

@@ -21,7 +21,7 @@ from common.learners import LEARNERS, Learner
 from common.maths import gaussians, objectives, policy, returns, running
 from common.maths.diagnostics import Diagnostics, finiteness
 from common.maths.functional import FunctionalStep, Metrics
-from common.maths.networks import Networks, Parameters
+from common.maths.networks import Networks, Parameters, within_bound
 from common.maths.rkhs.make import make_representation
 from common.maths.rkhs.representation import Function, Representation
 from common.maths.samples import Pairs, Samples, flatten
@@ -197,7 +197,8 @@ class Update:
             gradient, metrics = jax.grad(self._loss, has_aux=True)(parameters, state.expansion, samples[rows])
             updates, optimiser = self.optimiser.update(gradient, optimiser, parameters)
             metrics["gradient_norm"] = optax.tree.norm(gradient)
-            return (optax.apply_updates(parameters, updates), optimiser), metrics
+            parameters = within_bound(optax.apply_updates(parameters, updates), self.algorithm.max_log_std)
+            return (parameters, optimiser), metrics
 
         # One sort of random words; jax.random.permutation sorts twice, which shows in the time of an update.
         words = jax.random.bits(key, (self.algorithm.epochs, count))

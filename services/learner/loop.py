@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 
 from common.config.settings import RunSettings
+from common.errors import NumericsError
 from common.log.records import encode_json
 from common.wire.messages import Evaluation, Rollout
 from common.wire.report import Progress
@@ -158,7 +159,11 @@ class TrainingLoop:
                 self._began_s = got_s - max(sum(rollout.timing.values()) for rollout in rollouts)
                 self._began_version = self._trainer.version
             environments = self._hub.environments.kept()
-            metrics = self._trainer.update(rollouts)
+            try:
+                metrics = self._trainer.update(rollouts)
+            except NumericsError:
+                self._keep_last()
+                raise
             updated_s = time.monotonic()
             snapshot = self.publish()
             published_s = time.monotonic()
@@ -188,6 +193,15 @@ class TrainingLoop:
             self._outlets.log.flush(timeout_s=FLUSH_S)
             self._checkpoints.keep_environments(environments)
         if self._is_checkpoint(version):
+            self._checkpoints.keep(version, self._trainer.state_arrays())
+
+    def _keep_last(self) -> None:
+        """Keep policy and state of the version that no update can be made of, which is the last good one."""
+        version, log = self._trainer.version, self._settings.log
+        if version % log.policy_every and not self._resumed_replay.holds("/policy", version):
+            arrays = self._trainer.policy_arrays()
+            self._outlets.log.write("/policy", make_snapshot(self._checkpoints.run, version, arrays).encode())
+        if version and not self._is_checkpoint(version):
             self._checkpoints.keep(version, self._trainer.state_arrays())
 
     def _is_checkpoint(self, version: int) -> bool:

@@ -23,6 +23,7 @@ from common.maths.update import Metrics, make_update
 from common.tasks import TASKS
 from common.wire.messages import Rollout, digest_arrays
 from services.learner.training.batches import assemble
+from services.learner.training.sampling import sampling_problem
 
 FINITE = "finite/"
 
@@ -67,15 +68,25 @@ class Trainer:
         """Apply one update; returns its metrics by name.
 
         Raises:
-            NumericsError: a part of the new state is not finite. The state stays as it was.
+            NumericsError: a part of the new state is not finite, or its policy cannot be sampled from. The state stays
+                as it was.
         """
         state, metrics = self._update(self._state, assemble(rollouts))
-        values = {name: float(value) for name, value in jax.device_get(metrics).items()}
+        metrics, log_std = jax.device_get((metrics, state.policy.parameters["log_std"]))
+        values = {name: float(value) for name, value in metrics.items()}
         broken = [name.removeprefix(FINITE) for name, value in values.items() if name.startswith(FINITE) and not value]
         if broken:
             raise NumericsError(
                 f"update {self._version + 1} made the {' and the '.join(broken)} not finite; it was not applied. "
                 "The log holds the rollouts it was made from; a smaller algorithm.learning_rate or rkhs.eta may help"
+            )
+        if (problem := sampling_problem(log_std)) is not None:
+            algorithm = self._settings.algorithm
+            raise NumericsError(
+                f"update {self._version + 1} made a policy that cannot be sampled from; it was not applied. {problem}. "
+                f"What moves log_std is algorithm.entropy_coefficient ({algorithm.entropy_coefficient:g}) and "
+                f"algorithm.learning_rate ({algorithm.learning_rate:g}): choose smaller ones, or bound log_std by "
+                "algorithm.max_log_std"
             )
         self._adopt(state)
         return _meant(values)
@@ -102,7 +113,7 @@ class Trainer:
 
 
 def _meant(values: dict[str, float]) -> dict[str, float]:
-    """The metrics that say something: without flags, and without the laboratory's where it did not measure."""
+    """The metrics without flags, and without those of `variance/` where they were not measured."""
     measured = bool(values.get(MEASURED, 0.0))
     return {
         name: value
