@@ -32,7 +32,7 @@ class AlgorithmSettings(Section):
     epochs: Count = 4
     """passes over a batch in one update"""
     minibatches: Count = 32
-    """minibatches of one pass"""
+    """minibatches of one pass, each of at least two transitions"""
     learning_rate: Positive = 3e-4
     """Adam's step size for the networks"""
     adam_eps: Positive = 1e-5
@@ -182,12 +182,18 @@ class RunSettings(Section):
                 f"each actor runs num_envs / actors environments; try num_envs {_round_to(self.num_envs, self.actors)}"
             )
         if batch % minibatches:
-            # The nearest divisor is no further away than 1 is.
-            divisors = [m for m in range(1, min(batch, 2 * minibatches) + 1) if batch % m == 0]
-            near = min(divisors, key=lambda m: abs(m - minibatches))
             raise ValueError(
                 f"a batch of {batch} transitions (num_envs {self.num_envs} x num_steps {self.num_steps}) cannot be "
-                f"divided into {minibatches} minibatches; try algorithm.minibatches {near}"
+                f"divided into {minibatches} minibatches; try algorithm.minibatches "
+                f"{_nearest_divisor(batch, minibatches)}"
+            )
+        if batch == minibatches:
+            # Advantages are normalised within a minibatch: that of a single transition is 0, and teaches nothing.
+            raise ValueError(
+                f"algorithm.minibatches ({minibatches}) leaves one transition in each minibatch of a batch of {batch} "
+                f"(num_envs {self.num_envs} x num_steps {self.num_steps}), whose normalised advantage is always 0; "
+                f"try algorithm.minibatches {_nearest_divisor(batch, minibatches)}"
+                + (", with more environments or steps" if batch == 1 else "")
             )
         if self.total_steps < batch:
             raise ValueError(
@@ -239,6 +245,13 @@ class RunSettings(Section):
         if not LEARNERS[self.learner].rkhs:
             return 0
         return self.rkhs.room(self.updates, self.samples, self.batch_size)
+
+
+def _nearest_divisor(batch: int, minibatches: int) -> int:
+    """The number of minibatches nearest to the given one that divides the batch into parts of two or more."""
+    # The nearest divisor is no further away than 1 is.
+    divisors = [m for m in range(1, min(batch // 2, 2 * minibatches) + 1) if batch % m == 0] or [1]
+    return min(divisors, key=lambda m: abs(m - minibatches))
 
 
 def _round_to(value: int, multiple: int) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -14,6 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from common.cores import usable_cores
 from common.errors import PhysicsError
 from common.physics.bodies import Bodies, bodies_from
 from common.physics.engines import NATIVE
@@ -49,7 +49,7 @@ class NativeEngine:
         Raises:
             PhysicsError: the installed MuJoCo has no batch engine.
         """
-        self._batch, self._failure = _open_batch(model, num_envs, threads or len(os.sched_getaffinity(0)))
+        self._batch, self._failure = _open_batch(model, num_envs, threads or usable_cores())
         self._substeps = substeps
         self._defaults = self._batch.state.copy()
         self._inputs = [self._batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qacc_warmstart")]

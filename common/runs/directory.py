@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import time
@@ -35,7 +36,9 @@ def prepare_run_dir(settings: RunSettings) -> Path:
 
 def claim_run_dir(settings: RunSettings) -> Path:
     """Create the run's directory and return it. SettingsError where it holds another run or cannot be created."""
-    run_dir = settings.run_dir or default_run_dir(settings)
+    if settings.run_dir is None:
+        return _create_default(default_run_dir(settings))
+    run_dir = settings.run_dir
     try:
         run_dir.mkdir(parents=True, exist_ok=True)
         taken = [name for name in (SUMMARY, SETTINGS, LOG_DIRECTORY) if (run_dir / name).exists()]
@@ -46,6 +49,20 @@ def claim_run_dir(settings: RunSettings) -> Path:
             f"run_dir {run_dir} already holds a run ({', '.join(taken)}); choose another directory, "
             "or move that run away"
         )
+    return run_dir
+
+
+def _create_default(run_dir: Path) -> Path:
+    """Create a directory with that name, or with a number after it where the name is taken."""
+    for number in itertools.count(2):
+        try:
+            run_dir.mkdir(parents=True, exist_ok=False)
+        except FileExistsError:
+            run_dir = run_dir.with_name(f"{run_dir.name.removesuffix(f'-{number - 1}')}-{number}")
+            continue
+        except OSError as error:
+            raise _cannot_write(run_dir, error) from None
+        break
     return run_dir
 
 

@@ -11,7 +11,7 @@ from reskpn.commands.settings_options import add_settings, settings_epilog, sett
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
-    add_connection(parser)
+    add_connection(parser, what="check for an actor: address of the learner that it will join")
     parser.add_argument("--json", action="store_true", help="print one JSON object, for machines")
     parser.add_argument("--full", action="store_true", help="also compile a step with MJX (up to a minute)")
 
@@ -22,7 +22,7 @@ def run(given: argparse.Namespace) -> int:
 
     settings = settings_given(given)
     settings = settings.model_copy(update={"transport": over(settings.transport, given)})
-    return doctor(settings, as_json=given.json, full=given.full)
+    return doctor(settings, as_json=given.json, full=given.full, joins=given.endpoint is not None)
 
 
 COMMAND = Command(add_options, run, f"{settings_epilog()}\nThe exit code of `doctor` is 1 if it finds a problem.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from common.config.effects import settings_without_effect
 from reskpn.commands.command import Command
 from reskpn.commands.resuming import AUTO, notify_pending_actors, run_to_resume, settings_to_resume
 from reskpn.commands.settings_options import add_settings, settings_epilog, settings_given, settings_given_over
@@ -32,6 +33,8 @@ def run(given: argparse.Namespace) -> int:
         new = settings_given(given)
         resume = run_to_resume(new) if resume == AUTO else None
     settings = new if resume is None else settings_to_resume(Path(resume), over)
+    if settings is not None and (note := settings_without_effect(settings)):
+        print(note, flush=True)
     with stopping(supervised=given.supervised) as stop:
         if settings is None:
             return notify_pending_actors(Path(resume), over, stop)

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from common.config.settings import RunSettings, TransportSettings
 from common.errors import INTERRUPTED, SettingsError
-from common.runs.directory import SUMMARY, claim_run_dir, default_run_dir
+from common.runs.directory import SUMMARY, claim_run_dir
 from common.runs.origins import bits_can_differ, differences, origin
 from common.runs.read_ahead import read_ahead
 from common.runs.recorded_run import RecordedRun, open_run
@@ -83,8 +83,7 @@ def train_into(path: Path, choose: Callable[[RunSettings], RunSettings]) -> int:
     total = updates_to_read(run, None)
     settings = choose(run.settings)
     require_same_rollouts(run.settings, settings)
-    settings = settings.model_copy(update={"run_dir": settings.run_dir or default_run_dir(settings)})
-    claim_run_dir(settings)
+    settings = settings.model_copy(update={"run_dir": claim_run_dir(settings)})
     enable_compilation_cache()
     trainer = Trainer(settings)
     print(f"{run.run}: training {settings.learner} on its {total} updates of experience", flush=True)

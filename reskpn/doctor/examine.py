@@ -11,7 +11,7 @@ from common.config.settings import RunSettings, TransportSettings
 from common.wire.credentials import Credentials
 from reskpn.doctor.engines import check_jax, check_mjx, check_native, state_sizes
 from reskpn.doctor.findings import Finding, guarded
-from reskpn.doctor.machine import check_disk, check_memory, check_packages, check_python, check_writing
+from reskpn.doctor.machine import check_cores, check_disk, check_memory, check_packages, check_python, check_writing
 from reskpn.doctor.needs import Needs, needs
 from reskpn.doctor.reach import Answer, check_clock, check_port, check_zenoh
 
@@ -19,10 +19,13 @@ PROBLEM = 1
 """Exit code where a problem was found."""
 
 
-def doctor(settings: RunSettings, *, as_json: bool, full: bool) -> int:
-    """Print the findings, one a line or as one JSON object; returns 0, or 1 if there is a problem."""
+def doctor(settings: RunSettings, *, as_json: bool, full: bool, joins: bool = False) -> int:
+    """Print the findings, one a line or as one JSON object; returns 0, or 1 if there is a problem.
+
+    `joins`: an actor is to be started here, so that a learner must answer at the endpoint.
+    """
     found = []
-    for finding in examine(settings, full=full):
+    for finding in examine(settings, full=full, joins=joins):
         found.append(finding)
         if not as_json:
             print(finding.line, flush=True)
@@ -32,7 +35,7 @@ def doctor(settings: RunSettings, *, as_json: bool, full: bool) -> int:
     return PROBLEM if problems else 0
 
 
-def examine(settings: RunSettings, *, full: bool) -> Iterator[Finding]:
+def examine(settings: RunSettings, *, full: bool, joins: bool = False) -> Iterator[Finding]:
     """The findings for a run with these settings on this machine; `full` compiles MJX as well."""
     yield guarded("python", check_python)
     yield guarded("packages", check_packages)
@@ -43,10 +46,11 @@ def examine(settings: RunSettings, *, full: bool) -> Iterator[Finding]:
     def needed() -> Needs:
         return needs(settings, *(state_sizes(settings) if jax.level == "ok" else (0, 0)))
 
+    yield guarded("cores", lambda: check_cores(settings))
     yield guarded("memory", lambda: check_memory(needed()))
     yield guarded("disk", lambda: check_disk(settings, needed()))
     yield guarded("writing", lambda: check_writing(settings))
-    port, answer = _port(settings.transport)
+    port, answer = _port(settings.transport, joins=joins)
     yield port
     yield guarded("clock", lambda: check_clock(answer))
     yield guarded("zenoh", check_zenoh)
@@ -54,11 +58,11 @@ def examine(settings: RunSettings, *, full: bool) -> Iterator[Finding]:
     yield guarded("mjx", lambda: check_mjx(full=full))
 
 
-def _port(transport: TransportSettings) -> tuple[Finding, Answer | None]:
+def _port(transport: TransportSettings, *, joins: bool) -> tuple[Finding, Answer | None]:
     answers: list[Answer | None] = []
 
     def check() -> Finding:
-        finding, answer = check_port(transport.endpoint, Credentials.of(transport))
+        finding, answer = check_port(transport.endpoint, Credentials.of(transport), joins=joins)
         answers.append(answer)
         return finding
 

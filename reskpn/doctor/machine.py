@@ -14,6 +14,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 from common.config.settings import RunSettings
+from common.cores import cpu_quota, usable_cores
 from common.log.segments import LOG_DIRECTORY
 from common.runs.directory import SETTINGS, SUMMARY
 from reskpn.doctor.findings import Finding, size
@@ -62,6 +63,22 @@ def _fault(requirement: Requirement) -> str:
     if not requirement.specifier.contains(found, prereleases=True):
         return f"{requirement.name} {found}, but {requirement.specifier} is needed"
     return ""
+
+
+def check_cores(settings: RunSettings) -> Finding:
+    """Compare the cores that this process may use with the actors of the run."""
+    cores, quota = usable_cores(), cpu_quota()
+    affinity = len(os.sched_getaffinity(0))
+    text = f"{cores} usable of {os.cpu_count()}"
+    if quota is not None:
+        text += f" (affinity {affinity}, CPU quota {quota:g})"
+    elif affinity != os.cpu_count():
+        text += f" (affinity {affinity})"
+    figures = {"usable": float(cores), "affinity": float(affinity)} | ({} if quota is None else {"quota": quota})
+    if settings.actors > cores:
+        advice = f"{settings.actors} actors share them here; run fewer, or raise the limit"
+        return Finding("cores", "warning", text, advice, figures)
+    return Finding("cores", "ok", text, figures=figures)
 
 
 def check_memory(needs: Needs) -> Finding:

@@ -52,13 +52,20 @@ def ask_learner(endpoint: str, timeout_s: float = CONNECT_S, credentials: Creden
     return Answer(report, (report.t_ns - middle_ns) / 1e9, (answered_ns - asked_ns) / 2e9)
 
 
-def check_port(endpoint: str, credentials: Credentials = NOBODY) -> tuple[Finding, Answer | None]:
+def check_port(
+    endpoint: str, credentials: Credentials = NOBODY, *, joins: bool = False
+) -> tuple[Finding, Answer | None]:
     """Find out whether a learner can listen at an address, or which one does; also returns its answer.
+
+    `joins`: a learner must be there, for an actor to join.
 
     Raises `SessionError` for what is not an address, and `SettingsError` for credentials that cannot be used there.
     """
     credentials.options([], [endpoint])
     state = port_state(Endpoint.parse(endpoint))
+    if state == "free" and joins:
+        text = f"nobody listens at {endpoint}, where a learner should be"
+        return Finding("port", "problem", text, "start the learner first, or check its address"), None
     if state == "free":
         return Finding("port", "ok", f"{endpoint} is free: no learner runs there, and one can be started"), None
     if state == "unknown":
@@ -71,7 +78,7 @@ def check_port(endpoint: str, credentials: Credentials = NOBODY) -> tuple[Findin
         if state == "taken":
             text = f"{endpoint} is in use by a process that does not answer as a learner of this release"
             return Finding("port", "problem", text, "wait if a learner is starting there, or choose another port"), None
-        return Finding("port", "warning", printable(str(error), 500)), None
+        return Finding("port", "problem" if joins else "warning", printable(str(error), 500)), None
     report = answer.report
     text = f"{endpoint}: the learner of {report.run} answers, with {len(report.actors)} of {report.slots} actors"
     return Finding("port", "ok", printable(text)), answer

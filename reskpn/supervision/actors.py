@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
@@ -10,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from common.config.settings import RunSettings
+from common.cores import usable_cores
 from common.errors import PhysicsError, ProcessError, RefusedError, SettingsError
 from reskpn.supervision import processes
 
@@ -69,7 +69,7 @@ class ActorSupervisor:
     def _start(self, actor: ActorProcess) -> None:
         log_file = self.log_file(actor)
         log_file.parent.mkdir(exist_ok=True)
-        threads = max(1, len(os.sched_getaffinity(0)) // self.settings.actors)
+        threads = max(1, usable_cores() // self.settings.actors)
         transport = self.settings.transport
         command = [
             *processes.reskpn_command("actor"), "--endpoint", transport.endpoint, "--threads", str(threads),

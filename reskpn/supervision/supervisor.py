@@ -31,8 +31,8 @@ def train(settings: RunSettings, *, resume: bool = False) -> int:
         ProcessError: an actor cannot be kept alive.
     """
     _refuse_certificates(settings)
-    settings = resolved(settings)
     run_dir = settings.run_dir if resume else claim_run_dir(settings)
+    settings = resolved(settings.model_copy(update={"run_dir": run_dir}))
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="reskpn-")))
         config = folder / "settings.json"

@@ -195,10 +195,16 @@ def test_unknown_settings() -> None:
             "try algorithm.minibatches 32",
         ),
         (
-            # 2 * 7 = 14: the divisors are 1, 2, 7 and 14
+            # 2 * 7 = 14: the divisors are 1, 2, 7 and 14, and 14 would leave single transitions
             {"num_envs": 2, "num_steps": 7, "algorithm": {"minibatches": 32}},
             "a batch of 14 transitions (num_envs 2 x num_steps 7) cannot be divided into 32 minibatches; "
-            "try algorithm.minibatches 14",
+            "try algorithm.minibatches 7",
+        ),
+        (
+            # 4 * 8 = 32: the divisors that leave two or more are 1, 2, 4, 8 and 16
+            {"num_envs": 4, "num_steps": 8, "algorithm": {"minibatches": 32}},
+            "algorithm.minibatches (32) leaves one transition in each minibatch of a batch of 32 (num_envs 4 x "
+            "num_steps 8), whose normalised advantage is always 0; try algorithm.minibatches 16",
         ),
         (
             {"total_steps": 20_479},
@@ -227,12 +233,12 @@ def test_impossible_combinations(values: dict[str, Any], said: str) -> None:
 
 @given(st.integers(1, 3000), st.integers(1, 3000))
 def test_the_suggested_number_of_minibatches_is_the_nearest(num_envs: int, minibatches: int) -> None:
-    """Of all divisors of the batch, here simply all envs of one step."""
+    """Of all divisors of the batch, here simply all envs of one step, that leave two transitions or more."""
     if num_envs % minibatches == 0:
         return
     said = refusal(num_envs=num_envs, actors=1, num_steps=1, algorithm={"minibatches": minibatches})
     suggested = int(said.rsplit(" ", 1)[1])
-    divisors = [m for m in range(1, num_envs + 1) if num_envs % m == 0]
+    divisors = [m for m in range(1, num_envs // 2 + 1) if num_envs % m == 0] or [1]
     assert suggested in divisors
     assert abs(suggested - minibatches) == min(abs(m - minibatches) for m in divisors)
 
@@ -252,7 +258,7 @@ real = st.floats(1e-9, 1.0, allow_nan=False)
 
 @st.composite
 def possible(draw: st.DrawFn) -> RunSettings:
-    actors, each, steps, minibatches = draw(whole), draw(whole), draw(whole), draw(whole)
+    actors, each, steps, minibatches = draw(whole), draw(whole), draw(st.integers(2, 50)), draw(whole)
     num_envs = actors * each * minibatches
     return make(
         task=draw(st.sampled_from(["hopper", "reacher"])),

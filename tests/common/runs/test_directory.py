@@ -84,6 +84,21 @@ def test_the_default_directory_names_the_run(monkeypatch: pytest.MonkeyPatch) ->
     assert default_run_dir(given) == Path("runs/hopper-ppo-s3-20250102-030405")
 
 
+def test_runs_that_begin_in_one_second_have_directories_of_their_own(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The user did not choose the name, so it must not fail; each directory is made by the one that has it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(run_directory, "time", SimpleNamespace(strftime=lambda form: "20250102-030405"))
+    given = settings(task="hopper", learner="ppo", seed=3)
+    names = [claim_run_dir(given).name for _ in range(4)]
+    first = "hopper-ppo-s3-20250102-030405"
+    assert names == [first, f"{first}-2", f"{first}-3", f"{first}-4"]
+    assert prepare_run_dir(given).name == f"{first}-5"
+    with pytest.raises(SettingsError, match="already holds a run"):
+        prepare_run_dir(given.model_copy(update={"run_dir": Path("runs") / f"{first}-5"}))
+
+
 def test_json_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was there stays until the new content is on the disk."""
     path = tmp_path / "summary.json"

@@ -17,6 +17,7 @@ CHECKS = [
     "python",
     "packages",
     "jax",
+    "cores",
     "memory",
     "disk",
     "writing",
@@ -41,7 +42,7 @@ def doctor(tmp_path: Path, *words: str) -> int:
 
 def test_a_line_for_each_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """On a machine that has all it takes: exit code 0, and no file is left behind."""
-    assert doctor(tmp_path, "--endpoint", f"tcp/127.0.0.1:{free_port()}") == 0
+    assert doctor(tmp_path, "--transport.endpoint", f"tcp/127.0.0.1:{free_port()}") == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[1] for line in lines] == CHECKS
     assert {line.split()[0] for line in lines} <= {"ok", "warning"}
@@ -56,7 +57,7 @@ def test_a_problem_is_an_exit_code(
     for name in ("check_native", "check_zenoh"):
         monkeypatch.setattr(examine, name, lambda: Finding("other", "ok", "not made here"))
     (tmp_path / "run").write_text("a file where the directory should be")
-    assert doctor(tmp_path, "--endpoint", f"tcp/127.0.0.1:{free_port()}", "--json") == 1
+    assert doctor(tmp_path, "--transport.endpoint", f"tcp/127.0.0.1:{free_port()}", "--json") == 1
     found = json.loads(capsys.readouterr().out)
     assert found["problems"] == 3  # jax, disk, writing
     assert len(found["findings"]) == len(CHECKS)
@@ -67,6 +68,22 @@ def test_a_problem_is_an_exit_code(
         "advice": "look at the driver",
         "figures": {},
     }
+
+
+def test_an_actor_without_a_learner(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """--endpoint is where an actor will look for its learner: nobody there is a problem, and an exit code."""
+    monkeypatch.setattr(examine, "state_sizes", lambda settings: (0, 0))
+    for name in ("check_native", "check_zenoh"):
+        monkeypatch.setattr(examine, name, lambda: Finding("other", "ok", "not made here"))
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    assert doctor(tmp_path, "--endpoint", endpoint) == 1
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if " port " in line]
+    assert line == (
+        f"problem  port       nobody listens at {endpoint}, where a learner should be; "
+        "start the learner first, or check its address"
+    )
 
 
 def test_what_is_no_address(

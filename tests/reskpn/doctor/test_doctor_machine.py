@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import namedtuple
 from importlib import metadata
 from pathlib import Path
@@ -148,3 +149,23 @@ def test_a_slow_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine.time, "perf_counter", lambda: next(times))
     found = check_writing(settings(run_dir=tmp_path))
     assert (found.level, found.text) == ("warning", "syncing 1 MB takes 10.0 ms, at worst 500.0 ms")
+
+
+@pytest.mark.parametrize(
+    ("usable", "quota", "level", "text"),
+    [
+        (8, None, "ok", "8 usable of 8"),
+        (2, 2.0, "ok", "2 usable of 8 (affinity 8, CPU quota 2)"),
+        (1, 0.5, "warning", "1 usable of 8 (affinity 8, CPU quota 0.5)"),
+    ],
+)
+def test_cores_within_the_quota(
+    monkeypatch: pytest.MonkeyPatch, usable: int, quota: float | None, level: str, text: str
+) -> None:
+    """For two actors; a container with less than a core for each is told so."""
+    monkeypatch.setattr(os, "cpu_count", lambda: 8)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(8)))
+    monkeypatch.setattr(machine, "usable_cores", lambda: usable)
+    monkeypatch.setattr(machine, "cpu_quota", lambda: quota)
+    found = machine.check_cores(RunSettings(actors=2))
+    assert (found.level, found.text) == (level, text)

@@ -15,6 +15,7 @@ import pytest
 
 from common.config.settings import RunSettings
 from common.config.sources import load
+from common.cores import usable_cores
 from common.errors import ProcessError, SettingsError
 from common.wire.endpoint import Endpoint
 from reskpn.supervision import actors as actors_module
@@ -272,7 +273,7 @@ def test_actors_are_told_where_and_not_what(
     supervisor.keep_alive()
     for process in processes(supervisor):
         process.wait(DEADLINE_S)
-    cores = max(1, len(os.sched_getaffinity(0)) // 2)
+    cores = max(1, usable_cores() // 2)
     for number in (0, 1):
         words, *environment = supervisor.log_file(supervisor.actors[number]).read_text().splitlines()
         assert words == f"--endpoint {supervisor.settings.transport.endpoint} --threads {cores}"
