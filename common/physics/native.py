@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -49,30 +49,39 @@ class NativeEngine:
         Raises:
             PhysicsError: the installed MuJoCo has no batch engine.
         """
-        self._batch, self._failure = _open_batch(model, num_envs, threads or usable_cores())
+        make_batch, self._failure = _batch_engine()
+        workers = min(threads or usable_cores(), num_envs)
+        self._make_batch = functools.partial(make_batch, model, num_envs, workers)
         self._substeps = substeps
-        self._defaults = self._batch.state.copy()
-        self._inputs = [self._batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qacc_warmstart")]
-        self._kinematics = [self._batch.bind(name) for name in ("xpos", "xquat", "cvel", "subtree_com")]
         self._root = model.body_rootid[1:]
         self._sizes = model.nq, model.nv, model.nu, model.nbody - 1
         self._seconds = 0.0
         # Programs on different threads may share this engine, but a batch serves one caller at a time.
         self._lock = threading.Lock()
 
+    @functools.cached_property
+    def _arrays(self) -> _BatchArrays:
+        """The batch with its arrays, made in the first host callback.
+
+        JAX runs callbacks with denormal numbers flushed to zero. The batch's threads take over the mode of the thread
+        that starts them; started anywhere else, they would treat denormals differently from the calling thread, which
+        steps simulations as well, and results would depend on which thread steps which simulation.
+        """
+        return _BatchArrays(self._make_batch())
+
     def reset(self, q: jax.Array, qd: jax.Array) -> Bodies:
         _, velocities, commands, _ = self._sizes
-        return self._call(self._batch.forward, q, qd, jnp.zeros(commands), jnp.zeros(velocities))
+        return self._call(_forward, q, qd, jnp.zeros(commands), jnp.zeros(velocities))
 
     def step(self, bodies: Bodies, ctrl: jax.Array) -> Bodies:
-        advance = functools.partial(self._batch.step, nstep=self._substeps)
+        advance = functools.partial(_step, nstep=self._substeps)
         return self._call(advance, bodies.q, bodies.qd, ctrl, bodies.warmstart)
 
     def seconds(self) -> float:
         """Seconds spent inside MuJoCo's batch calls so far."""
         return self._seconds
 
-    def _call(self, run: Callable[[], None], *inputs: jax.Array) -> Bodies:
+    def _call(self, run: Callable[[Any], None], *inputs: jax.Array) -> Bodies:
         positions, velocities, _, bodies = self._sizes
         shapes = (
             (positions,),
@@ -91,41 +100,65 @@ class NativeEngine:
         )
         return bodies_from(*results)
 
-    def _on_host(self, run: Callable[[], None], *inputs: Any) -> tuple[np.ndarray, ...]:
+    def _on_host(self, run: Callable[[Any], None], *inputs: Any) -> tuple[np.ndarray, ...]:
         """Run `run` on the batch from `inputs` ([N, nq], [N, nv], [N, nu], [N, nv]); [N, ...] float32 results."""
         with self._lock:
-            self._batch.state[:] = self._defaults
-            self._batch.warning[:] = 0
-            for field, given in zip(self._inputs, inputs, strict=True):
-                field[:] = np.asarray(given)
-            lost = self._timed(run)
-            results = self._results()
+            arrays = self._arrays
+            arrays.load(inputs)
+            lost = self._timed(run, arrays.batch)
+            results = arrays.results(self._root)
         for result in results:
             result[lost] = np.nan
         return results
 
-    def _timed(self, run: Callable[[], None]) -> np.ndarray:
+    def _timed(self, run: Callable[[Any], None], batch: Any) -> np.ndarray:
         """Run the batch; returns the simulations [N] (bool) that diverged."""
         started = time.perf_counter()
         try:
-            run()
+            run(batch)
         except self._failure:
             pass  # `status` says which simulations failed; all others ran to the end
         finally:
             self._seconds += time.perf_counter() - started
-        return (self._batch.status != 0) | self._batch.warning[:, _LOST, 1].any(axis=1)
+        return (batch.status != 0) | batch.warning[:, _LOST, 1].any(axis=1)
 
-    def _results(self) -> tuple[np.ndarray, ...]:
+
+class _BatchArrays:
+    """A batch and its arrays on the host."""
+
+    def __init__(self, batch: Any) -> None:
+        self.batch = batch
+        self._defaults = batch.state.copy()
+        self._inputs = [batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qacc_warmstart")]
+        self._kinematics = [batch.bind(name) for name in ("xpos", "xquat", "cvel", "subtree_com")]
+
+    def load(self, inputs: Sequence[Any]) -> None:
+        """Set the complete state of each simulation: the defaults and `inputs`."""
+        self.batch.state[:] = self._defaults
+        self.batch.warning[:] = 0
+        for field, given in zip(self._inputs, inputs, strict=True):
+            field[:] = np.asarray(given)
+
+    def results(self, root: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The fields of `bodies_from`, [N, ...] float32; `root` is the root body of each body's tree."""
         qpos, qvel, _, warmstart = self._inputs
         xpos, xquat, cvel, subtree_com = self._kinematics
-        lever = xpos[:, 1:] - subtree_com[:, self._root]
+        lever = xpos[:, 1:] - subtree_com[:, root]
         results = qpos, qvel, xpos[:, 1:], xquat[:, 1:], cvel[:, 1:], lever, warmstart
         # Copies, since the next call overwrites the batch's own arrays.
         return tuple(result.astype(np.float32) for result in results)
 
 
-def _open_batch(model: mujoco.MjModel, num_envs: int, threads: int) -> tuple[Any, type[RuntimeError]]:
-    """The batch, and the exception that its calls raise when simulations fail."""
+def _forward(batch: Any) -> None:
+    batch.forward()
+
+
+def _step(batch: Any, nstep: int) -> None:
+    batch.step(nstep=nstep)
+
+
+def _batch_engine() -> tuple[Callable[[mujoco.MjModel, int, int], Any], type[RuntimeError]]:
+    """MuJoCo's batch class, and the exception that its calls raise when simulations fail."""
     try:
         from mujoco.batch import Batch, SimulationError
     except ImportError as error:
@@ -133,4 +166,4 @@ def _open_batch(model: mujoco.MjModel, num_envs: int, threads: int) -> tuple[Any
             f"physics 'native' needs MuJoCo's batch engine, which mujoco {mujoco.__version__} does not have; "
             "install mujoco 4.0 or later, or choose physics 'mjx'"
         ) from error
-    return Batch(model, num_envs, min(threads, num_envs)), SimulationError
+    return Batch, SimulationError

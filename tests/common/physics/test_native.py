@@ -167,6 +167,46 @@ def test_a_simulation_in_which_mujoco_raised_is_nan() -> None:
     np.testing.assert_array_equal(np.isnan(after.q).all(axis=1), [False, True])
 
 
+# A body that moves freely but for damping: its velocity shrinks by the same factor in every step.
+SLIDER = """
+<mujoco>
+  <option gravity="0 0 0" timestep="0.01"/>
+  <worldbody>
+    <body>
+      <joint type="slide" damping="2"/>
+      <geom type="sphere" size=".1" mass="1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_denormal_numbers_are_treated_alike_on_all_threads() -> None:
+    """64 equal simulations on two threads stay equal while they pass the smallest normal float64, 2.2e-308.
+
+    Two simulations side by side on the calling thread and on the batch's own differ there if only one of the threads
+    flushes denormals to zero. Float32 states cannot get that small, so the batch is set on the host.
+    """
+    model = mujoco.MjModel.from_xml_string(SLIDER)
+    engine = NativeEngine(model, substeps=1, num_envs=64, threads=2)
+    jax.jit(jax.vmap(engine.reset))(jnp.zeros((64, 1)), jnp.zeros((64, 1)))  # makes the batch
+    batch = engine._arrays.batch
+    found: list[np.ndarray] = []
+
+    def decay(x: Any) -> np.ndarray:
+        batch.qpos, batch.qvel = 0.0, 1e-307
+        for _ in range(20):
+            # 200 steps divide the velocity by (1 + 0.01 * 2) ** 200 = 52 in exact arithmetic: below 2.2e-308.
+            batch.step(nstep=10)
+            found.append(np.concatenate([batch.qpos, batch.qvel], axis=1))
+        return np.zeros(1, np.float32)
+
+    call = jax.jit(lambda x: jax.pure_callback(decay, jax.ShapeDtypeStruct((1,), jnp.float32), x))
+    jax.block_until_ready(call(jnp.zeros(1)))
+    for states in found:
+        np.testing.assert_array_equal(states, np.broadcast_to(states[0], states.shape))
+
+
 def test_time_in_physics_is_counted(engine: Simulations, model: mujoco.MjModel) -> None:
     """The seconds inside MuJoCo grow with every call, and by no more than the call took."""
     before = engine.seconds()
