@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import os
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 from common.errors import LogReadError
+from common.files import create, open_to_read, require_plain
 from common.log.failures import write_failure
 from common.log.framing import TornTail
+from common.log.lock import LogLock
 from common.log.records import CHANNELS
 from common.log.segment_reader import SegmentReader
 from common.log.segment_writer import SegmentWriter
-from common.log.segments import WriterLock, find_segments, sync_directory
+from common.log.segments import find_segments, sync_directory
 
 _COPY_BYTES = 1 << 20
 
@@ -38,7 +41,7 @@ class RepairReport:
     segments: tuple[RepairedSegment, ...]
 
 
-def repair(path: Path) -> RepairReport:
+def repair(path: Path, lock: LogLock | None = None) -> RepairReport:
     """Rewrite the torn segments of a log from their complete chunks; whole segments are not touched.
 
     Each is written beside the torn file, synced, and only then renamed over it, so an interruption loses nothing. It
@@ -46,22 +49,32 @@ def repair(path: Path) -> RepairReport:
 
     Args:
         path: a run directory, its log directory, or one .mcap file.
+        lock: of the log, where the caller holds it.
 
     Raises:
-        LogReadError: there is no log, or a torn segment is also damaged before its end.
+        LogReadError: there is no log, a torn segment is also damaged before its end, or something in the directory
+            is not a regular file of this user.
         LogWriteError: a learner is writing the log, or the repaired file cannot be written.
     """
     directory = find_segments(path)[0].parent
-    try:
-        lock = WriterLock(directory)
-    except OSError as error:
-        raise write_failure(directory, error) from error
-    with lock:
+    with nullcontext() if lock is not None else LogLock(directory):
+        refuse_links(directory)
         # Looked up again: before it was locked, a writer may have finished or begun a segment.
         segments = [SegmentReader(segment) for segment in find_segments(path)]
         return RepairReport(
             tuple(_repair_segment(segment, segment.torn) for segment in segments if segment.torn is not None)
         )
+
+
+def refuse_links(directory: Path) -> None:
+    """Raise LogReadError unless everything in a directory is a regular file or directory of this user."""
+    try:
+        require_plain(directory)
+    except OSError as error:
+        raise LogReadError(
+            f"{error.filename or directory} is in the way of resuming or repairing: {error.strerror}; remove it, or "
+            "restore the run from a copy"
+        ) from None
 
 
 def _repair_segment(segment: SegmentReader, torn: TornTail) -> RepairedSegment:
@@ -82,7 +95,7 @@ def _repair_segment(segment: SegmentReader, torn: TornTail) -> RepairedSegment:
 
 def _save_torn_bytes(torn: TornTail) -> Path:
     aside = torn.path.with_name(torn.path.name + ".torn")
-    with open(torn.path, "rb") as source, open(aside, "wb") as target:
+    with open_to_read(torn.path) as source, create(aside) as target:
         source.seek(torn.good_bytes)
         while block := source.read(_COPY_BYTES):
             target.write(block)

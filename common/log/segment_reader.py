@@ -17,11 +17,13 @@ from mcap.records import Attachment, Channel, Header, Metadata, Statistics
 from mcap.stream_reader import StreamReader
 
 from common.errors import LogReadError
+from common.files import open_to_read
 from common.log.checksums import crc32
 from common.log.chunks import read_chunk, read_chunk_head
 from common.log.framing import MAGIC, RECORD_HEAD, Frame, TornTail, damaged, exactly, parse
 from common.log.records import LogMessage
 from common.log.segment_writer import PROFILE
+from common.log.segments import unreadable
 
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, start of its offsets, CRC
 _CRC_BYTES = 4
@@ -57,9 +59,9 @@ class SegmentReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self.size = path.stat().st_size
+            self.size = path.stat(follow_symlinks=False).st_size
         except OSError as error:
-            raise _unreadable(path, error) from error
+            raise unreadable(path, error) from error
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[LogMessage]:
         """The messages of the complete chunks in the order they were written; all topics if None.
@@ -197,16 +199,12 @@ class SegmentReader:
     @contextmanager
     def _opened(self) -> Iterator[BinaryIO]:
         try:
-            with open(self.path, "rb", buffering=_BUFFER_BYTES) as file:
+            with open_to_read(self.path, _BUFFER_BYTES) as file:
                 if not MAGIC.startswith(file.read(min(self.size, len(MAGIC)))):
                     raise LogReadError(f"{self.path} is not an MCAP file; give the log of a run")
                 yield file
         except OSError as error:
-            raise _unreadable(self.path, error) from error
+            raise unreadable(self.path, error) from error
 
     def _damaged(self, offset: int, what: str) -> LogReadError:
         return damaged(self.path, offset, what)
-
-
-def _unreadable(path: Path, error: OSError) -> LogReadError:
-    return LogReadError(f"{path} cannot be read: {error.strerror or error}; check its permissions and the disk")

@@ -1,18 +1,16 @@
-"""The files of a log: `<run directory>/log/00000.mcap, 00001.mcap, ...`, and the lock of their one writer."""
+"""The files of a log: `<run directory>/log/00000.mcap, 00001.mcap, ...`, in order and without a gap."""
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 from pathlib import Path
-from types import TracebackType
 
-from common.errors import LogReadError, LogWriteError
+from common.errors import LogReadError
+from common.files import is_plain_directory
 
 LOG_DIRECTORY = "log"
 _NAME = re.compile(r"(\d{5,})\.mcap")
-_LOCK = ".lock"
 
 
 def segment_path(directory: Path, number: int) -> Path:
@@ -26,24 +24,35 @@ def segment_number(path: Path) -> int | None:
 
 
 def list_segments(directory: Path) -> list[Path]:
-    """The segments in `directory` in the order they were written; empty where there are none."""
-    if not directory.is_dir():
-        return []
-    numbered = [(number, path) for path in directory.iterdir() if (number := segment_number(path)) is not None]
-    return [path for _, path in sorted(numbered)]
+    """The segments in `directory` in the order they were written; empty where there are none.
+
+    Raises:
+        LogReadError: the directory cannot be read, or is a symbolic link.
+    """
+    try:
+        if directory.is_symlink():
+            raise LogReadError(f"{directory} is a symbolic link, which is not followed in a run directory")
+        return _list(directory) if is_plain_directory(directory) else []
+    except OSError as error:
+        raise unreadable(directory, error) from None
 
 
 def find_segments(path: Path) -> list[Path]:
     """The segments of `path`, which is a run directory, its log directory or one file.
 
     Raises:
-        LogReadError: there is nothing there, or a segment between two others is missing.
+        LogReadError: there is nothing there, it cannot be read, or a segment between two others is missing.
     """
-    if path.is_file():
-        return [path]
-    if not path.exists():
-        raise LogReadError(f"{path} does not exist; give a run directory, its log directory or an .mcap file")
-    segments = list_segments(path) or list_segments(path / LOG_DIRECTORY)
+    try:
+        if path.is_file():
+            return [path]
+        if not path.exists():
+            raise LogReadError(f"{path} does not exist; give a run directory, its log directory or an .mcap file")
+        # The path itself may be a link: its user chose it. Those within it were chosen by others.
+        segments = _list(path) if path.is_dir() else []
+    except OSError as error:
+        raise unreadable(path, error) from None
+    segments = segments or list_segments(path / LOG_DIRECTORY)
     if not segments:
         raise LogReadError(
             f"no log in {path}: neither it nor its folder {LOG_DIRECTORY!r} holds a 00000.mcap; give a run "
@@ -51,6 +60,16 @@ def find_segments(path: Path) -> list[Path]:
         )
     _check_without_gap(segments)
     return segments
+
+
+def unreadable(path: Path, error: OSError) -> LogReadError:
+    """The error to raise for `error`, which occurred while `path` was read."""
+    return LogReadError(f"{path} cannot be read: {error.strerror or error}; check its permissions and the disk")
+
+
+def _list(directory: Path) -> list[Path]:
+    numbered = [(number, path) for path in directory.iterdir() if (number := segment_number(path)) is not None]
+    return [path for _, path in sorted(numbered)]
 
 
 def _check_without_gap(segments: list[Path]) -> None:
@@ -63,46 +82,6 @@ def _check_without_gap(segments: list[Path]) -> None:
         if number not in present:
             missing = segment_path(segments[0].parent, number)
             raise LogReadError(f"{missing} is missing between two others; restore it, or read single files")
-
-
-class WriterLock:
-    """Keeps a second process from writing a log; the system drops it when its process ends.
-
-    Raises:
-        LogWriteError: another process holds it.
-        OSError: the lock file cannot be made.
-    """
-
-    def __init__(self, directory: Path) -> None:
-        self._fd = os.open(directory / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            owner = os.pread(self._fd, 32, 0).decode(errors="replace").strip()
-            self.release()
-            raise LogWriteError(
-                f"the log {directory} is being written by another process (pid {owner or 'unknown'}); a run has one "
-                "learner: stop that one, or choose another run directory"
-            ) from error
-        except OSError:
-            self.release()
-            raise
-        os.ftruncate(self._fd, 0)
-        os.pwrite(self._fd, f"{os.getpid()}\n".encode(), 0)
-
-    def release(self) -> None:
-        """Let another process write. A second call does nothing."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
-
-    def __enter__(self) -> WriterLock:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.release()
 
 
 def sync_directory(directory: Path) -> None:

@@ -14,9 +14,10 @@ from typing import Any
 
 from common.errors import LogWriteError
 from common.log.failures import write_failure
+from common.log.lock import LogLock
 from common.log.records import CHANNELS, encode_json
 from common.log.segment_writer import Attachments, Compression, Metadata, SegmentWriter
-from common.log.segments import WriterLock, list_segments, segment_number, segment_path
+from common.log.segments import list_segments, segment_number, segment_path
 from common.suggestions import unknown_name
 
 _GROUP_BYTES = 32 << 20
@@ -55,6 +56,7 @@ class LogWriter:
         clock_ns: nanoseconds for messages that are written without a time.
         metadata: by name, put at the start of every segment, so that each can be read alone.
         attachments: name -> (media type, content), put into the first segment that this writer begins.
+        lock: of the log, where the caller holds it, and goes on holding it after `close`; else the writer takes it.
         on_error: called once, from the writer's thread, with the failure that ended the log. It must not call
             `close`, which waits for that thread.
 
@@ -73,6 +75,7 @@ class LogWriter:
         clock_ns: Callable[[], int] = time.time_ns,
         metadata: Metadata | None = None,
         attachments: Attachments | None = None,
+        lock: LogLock | None = None,
         on_error: Callable[[LogWriteError], None] | None = None,
     ) -> None:
         self._directory = directory
@@ -96,7 +99,8 @@ class LogWriter:
         self._sync_due_s: float | None = None
         self._last_sync_s = time.monotonic()
 
-        self._number, self._lock, self._segment = self._begin(attachments or {})
+        self._lock = LogLock(directory) if lock is None else None
+        self._number, self._segment = self._begin(attachments or {})
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="log-writer", daemon=True)
         self._thread.start()
@@ -175,7 +179,7 @@ class LogWriter:
             self._stopping = True
             self._changed.notify_all()
         self._thread.join()
-        self._lock.release()
+        self._unlock()
         self._raise_if_failed()
 
     def __enter__(self) -> LogWriter:
@@ -195,18 +199,17 @@ class LogWriter:
         if self._failure is not None:
             raise LogWriteError(str(self._failure)) from self._failure
 
-    def _begin(self, attachments: Attachments) -> tuple[int, WriterLock, SegmentWriter]:
-        try:
-            self._directory.mkdir(parents=True, exist_ok=True)
-            lock = WriterLock(self._directory)
-        except OSError as error:
-            raise write_failure(self._directory, error) from error
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
+
+    def _begin(self, attachments: Attachments) -> tuple[int, SegmentWriter]:
         try:
             present = list_segments(self._directory)
             number = 1 + (segment_number(present[-1]) or 0) if present else 0
-            return number, lock, self._open_segment(number, attachments)
+            return number, self._open_segment(number, attachments)
         except OSError as error:
-            lock.release()
+            self._unlock()
             raise write_failure(self._directory, error) from error
 
     def _open_segment(self, number: int, attachments: Attachments) -> SegmentWriter:

@@ -11,6 +11,8 @@ from typing import Any
 
 from common.config.settings import RunSettings
 from common.errors import SettingsError
+from common.files import create, is_plain_directory
+from common.log.lock import LOCK
 from common.log.segments import LOG_DIRECTORY
 
 SUMMARY = "summary.json"
@@ -27,11 +29,16 @@ RUNS = Path("runs")
 def prepare_run_dir(settings: RunSettings) -> Path:
     """Create the run's directory with its settings in it, and return it. SettingsError as `claim_run_dir`."""
     run_dir = claim_run_dir(settings)
+    write_settings(run_dir, settings)
+    return run_dir
+
+
+def write_settings(run_dir: Path, settings: RunSettings) -> None:
+    """Write the settings of a run into its directory. SettingsError where that is not possible."""
     try:
         write_json(run_dir / SETTINGS, settings.model_dump(mode="json"))
     except OSError as error:
         raise _cannot_write(run_dir, error) from None
-    return run_dir
 
 
 def claim_run_dir(settings: RunSettings) -> Path:
@@ -41,7 +48,8 @@ def claim_run_dir(settings: RunSettings) -> Path:
     run_dir = settings.run_dir
     try:
         run_dir.mkdir(parents=True, exist_ok=True)
-        taken = [name for name in (SUMMARY, SETTINGS, LOG_DIRECTORY) if (run_dir / name).exists()]
+        taken = [name for name in (SUMMARY, SETTINGS) if (run_dir / name).exists()]
+        taken += [LOG_DIRECTORY] if _has_log(run_dir / LOG_DIRECTORY) else []
     except OSError as error:
         raise _cannot_write(run_dir, error) from None
     if taken:
@@ -66,6 +74,11 @@ def _create_default(run_dir: Path) -> Path:
     return run_dir
 
 
+def _has_log(directory: Path) -> bool:
+    # A lock alone is left where a learner was killed before it had written anything.
+    return directory.exists() and not (is_plain_directory(directory) and set(os.listdir(directory)) <= {LOCK})
+
+
 def _cannot_write(run_dir: Path, error: OSError) -> SettingsError:
     return SettingsError(
         f"run_dir {run_dir} cannot be written ({error.strerror}); choose a directory that this user may write, "
@@ -81,9 +94,8 @@ def default_run_dir(settings: RunSettings) -> Path:
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write to a temporary file, sync it and rename it: the file is whole or absent."""
     beside = path.with_suffix(path.suffix + ".part")
-    with beside.open("w") as file:
-        json.dump(content, file, indent=2)
-        file.write("\n")
+    with create(beside) as file:
+        file.write(json.dumps(content, indent=2).encode() + b"\n")
         file.flush()
         os.fsync(file.fileno())
     beside.replace(path)

@@ -11,8 +11,9 @@ from typing import Any
 from common.config.settings import RunSettings
 from common.config.sources import parse_json
 from common.errors import LogReadError, ReskpnError, SettingsError
+from common.files import read_text
 from common.log.reader import LogReader
-from common.log.segments import LOG_DIRECTORY, list_segments
+from common.log.segments import LOG_DIRECTORY, list_segments, unreadable
 from common.runs.directory import SETTINGS, SUMMARY
 
 MAY_CHANGE = ("transport.", "total_steps", "run_dir")
@@ -34,8 +35,20 @@ class Interrupted:
 
 
 def holds_run(run_dir: Path) -> bool:
-    """True if a run was begun there."""
-    return (run_dir / SETTINGS).exists() or bool(list_segments(run_dir / LOG_DIRECTORY))
+    """True if a run was begun there. LogReadError where the directory cannot be read."""
+    try:
+        return (run_dir / SETTINGS).exists() or bool(list_segments(run_dir / LOG_DIRECTORY))
+    except OSError as error:
+        raise unreadable(run_dir, error) from None
+
+
+def require_run(run_dir: Path) -> None:
+    """Raise SettingsError unless a run was begun there."""
+    if not holds_run(run_dir):
+        raise SettingsError(
+            f"--resume {run_dir}: no run was begun there; give the directory of a run, the one that holds its "
+            f"{SETTINGS} and {LOG_DIRECTORY}"
+        )
 
 
 def read_interrupted(run_dir: Path) -> Interrupted:
@@ -45,11 +58,7 @@ def read_interrupted(run_dir: Path) -> Interrupted:
         SettingsError: there is none.
         LogReadError: its log is damaged.
     """
-    if not holds_run(run_dir):
-        raise SettingsError(
-            f"--resume {run_dir}: no run was begun there; give the directory of a run, the one that holds its "
-            f"{SETTINGS} and {LOG_DIRECTORY}"
-        )
+    require_run(run_dir)
     settings = parse_json(_settings_text(run_dir)).model_copy(update={"run_dir": run_dir.absolute()})
     complete = _is_complete(run_dir)
     return Interrupted(run_dir, settings, complete, complete and _is_open(run_dir))
@@ -117,16 +126,16 @@ def _settings_text(run_dir: Path) -> str:
         if text is not None:
             return text
     try:
-        return (run_dir / SETTINGS).read_text()
-    except OSError as error:
+        return read_text(run_dir / SETTINGS)
+    except (OSError, UnicodeDecodeError) as error:
         raise LogReadError(
-            f"neither the log in {run_dir} nor {SETTINGS} says what the run was ({error.strerror}); start another one"
+            f"neither the log in {run_dir} nor {SETTINGS} says what the run was ({error}); start another one"
         ) from None
 
 
 def _is_complete(run_dir: Path) -> bool:
     try:
-        summary = json.loads((run_dir / SUMMARY).read_text())
+        summary = json.loads(read_text(run_dir / SUMMARY))
     except (OSError, ValueError):
         return False
     return isinstance(summary, dict) and summary.get("complete") is True

@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 
 from common.config.effects import settings_without_effect
+from common.config.settings import RunSettings
 from reskpn.commands.command import Command
-from reskpn.commands.resuming import AUTO, notify_pending_actors, run_to_resume, settings_to_resume
+from reskpn.commands.resuming import AUTO, lock_run, notify_pending_actors, run_to_resume, settings_to_resume
 from reskpn.commands.settings_options import add_settings, settings_epilog, settings_given, settings_given_over
 
 
@@ -20,6 +21,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "runs/ if it has these settings, else start a new run",
     )
     parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--lock-fd", type=int, help=argparse.SUPPRESS)
 
 
 def run(given: argparse.Namespace) -> int:
@@ -32,13 +34,21 @@ def run(given: argparse.Namespace) -> int:
     if resume is None or resume == AUTO:
         new = settings_given(given)
         resume = run_to_resume(new) if resume == AUTO else None
-    settings = new if resume is None else settings_to_resume(Path(resume), over)
-    if settings is not None and (note := settings_without_effect(settings)):
-        print(note, flush=True)
     with stopping(supervised=given.supervised) as stop:
-        if settings is None:
-            return notify_pending_actors(Path(resume), over, stop)
-        return run_learner(settings, stop=stop, resume=resume is not None)
+        if resume is None:
+            _print_effects(new)
+            return run_learner(new, stop=stop)
+        with lock_run(Path(resume), given.lock_fd) as lock:
+            settings = settings_to_resume(Path(resume), over)
+            if settings is None:
+                return notify_pending_actors(Path(resume), over, stop, lock)
+            _print_effects(settings)
+            return run_learner(settings, stop=stop, resume=True, lock=lock)
+
+
+def _print_effects(settings: RunSettings) -> None:
+    if note := settings_without_effect(settings):
+        print(note, flush=True)
 
 
 COMMAND = Command(add_options, run, settings_epilog())

@@ -7,10 +7,37 @@ from collections.abc import Callable
 from pathlib import Path
 
 from common.config.settings import RunSettings
+from common.log.lock import LogLock
+from common.log.repair import refuse_links
+from common.log.segments import LOG_DIRECTORY
 from common.runs.directory import RUNS
-from common.runs.resumed_settings import holds_run, newest_interrupted, read_interrupted, resumed_settings
+from common.runs.resumed_settings import (
+    holds_run,
+    newest_interrupted,
+    read_interrupted,
+    require_run,
+    resumed_settings,
+)
 
 AUTO = "auto"
+
+
+def lock_run(run_dir: Path, inherited: int | None = None) -> LogLock:
+    """The lock of a run that is to be resumed; `inherited` is the descriptor by which a parent process holds it.
+
+    Raises:
+        SettingsError: there is no run.
+        LogWriteError: another process holds the lock.
+        LogReadError: the directory holds links, or files of another user.
+    """
+    require_run(run_dir)
+    lock = LogLock(run_dir / LOG_DIRECTORY, inherited=inherited)
+    try:
+        refuse_links(run_dir)
+    except BaseException:
+        lock.release()
+        raise
+    return lock
 
 
 def settings_to_resume(run_dir: Path, load: Callable[[RunSettings], RunSettings]) -> RunSettings | None:
@@ -30,17 +57,19 @@ def settings_to_resume(run_dir: Path, load: Callable[[RunSettings], RunSettings]
     return settings
 
 
-def close_log(run_dir: Path) -> int:
+def close_log(run_dir: Path, lock: LogLock) -> int:
     """Close the log of a finished run whose learner was killed before it did. Returns 0."""
     from services.learner.resume.plan import repair_log
 
     if read_interrupted(run_dir).shutdown_pending:
-        for note in repair_log(run_dir):
+        for note in repair_log(run_dir, lock):
             print(note, flush=True)
     return 0
 
 
-def notify_pending_actors(run_dir: Path, load: Callable[[RunSettings], RunSettings], stop: threading.Event) -> int:
+def notify_pending_actors(
+    run_dir: Path, load: Callable[[RunSettings], RunSettings], stop: threading.Event, lock: LogLock
+) -> int:
     """Tell the actors of a finished run that it is over, if its learner was killed before it did. Returns 0.
 
     Raises as `send_shutdown_notice`, and SettingsError as `resumed_settings`.
@@ -50,7 +79,7 @@ def notify_pending_actors(run_dir: Path, load: Callable[[RunSettings], RunSettin
     found = read_interrupted(run_dir)
     if found.shutdown_pending:
         transport = resumed_settings(found, load).transport
-        send_shutdown_notice(run_dir, transport, stop=stop, say=lambda text: print(text, flush=True))
+        send_shutdown_notice(run_dir, transport, stop=stop, say=lambda text: print(text, flush=True), lock=lock)
     return 0
 
 

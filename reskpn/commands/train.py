@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from reskpn.commands.command import Command
-from reskpn.commands.resuming import close_log, settings_to_resume
+from reskpn.commands.resuming import close_log, lock_run, settings_to_resume
 from reskpn.commands.settings_options import add_settings, settings_epilog, settings_given, settings_given_over
 
 
@@ -24,8 +24,9 @@ def run(given: argparse.Namespace) -> int:
         return train(settings_given(given))
     # No process is left that was told the run's former address: a free port is as good.
     over = partial(settings_given_over(given), own_endpoint=False)
-    settings = settings_to_resume(Path(given.resume), over)
-    return close_log(Path(given.resume)) if settings is None else train(settings, resume=True)
+    with lock_run(Path(given.resume)) as lock:
+        settings = settings_to_resume(Path(given.resume), over)
+        return close_log(Path(given.resume), lock) if settings is None else train(settings, resume=lock)
 
 
 COMMAND = Command(add_options, run, settings_epilog())

@@ -19,8 +19,11 @@ def reskpn_command(name: str) -> list[str]:
     return [sys.executable, "-m", "reskpn", name, "--supervised"]
 
 
-def start(command: Sequence[str], output: int | None = None) -> subprocess.Popen[bytes]:
-    """Start a process that stops when its standard input ends, out of reach of the terminal's Ctrl-C."""
+def start(command: Sequence[str], output: int | None = None, keep: Sequence[int] = ()) -> subprocess.Popen[bytes]:
+    """Start a process that stops when its standard input ends, out of reach of the terminal's Ctrl-C.
+
+    `keep`: descriptors that it inherits.
+    """
     return subprocess.Popen(
         command,
         stdin=subprocess.PIPE,
@@ -28,6 +31,7 @@ def start(command: Sequence[str], output: int | None = None) -> subprocess.Popen
         stderr=subprocess.STDOUT if output is not None else None,
         env=_child_environment(os.environ),
         start_new_session=True,
+        pass_fds=keep,
     )
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from common.config.settings import RunSettings
 from common.errors import SettingsError
+from common.log.lock import LogLock
 from common.runs.directory import claim_run_dir, default_run_dir
 from common.wire.endpoint import free_port
 from reskpn.supervision import processes
@@ -19,10 +20,10 @@ from reskpn.supervision.stopping import stopping
 POLL_S = 0.1
 
 
-def train(settings: RunSettings, *, resume: bool = False) -> int:
+def train(settings: RunSettings, *, resume: LogLock | None = None) -> int:
     """Run to the end and return the learner's exit code.
 
-    `resume`: continue the unfinished run in `settings.run_dir`, whose settings these are.
+    `resume`: the lock of the unfinished run in `settings.run_dir` to continue, whose settings these are.
 
     Actors are started beside the learner, not after it: all of them take seconds to load.
 
@@ -38,8 +39,11 @@ def train(settings: RunSettings, *, resume: bool = False) -> int:
         config = folder / "settings.json"
         config.write_text(settings.model_dump_json())
         stop = stack.enter_context(stopping(supervised=False))
-        how = ["--resume", str(run_dir)] if resume else []
-        learner = processes.start([*processes.reskpn_command("learner"), "--config", str(config), *how])
+        how = [] if resume is None else ["--resume", str(run_dir), "--lock-fd", str(resume.fd)]
+        learner = processes.start(
+            [*processes.reskpn_command("learner"), "--config", str(config), *how],
+            keep=() if resume is None else (resume.fd,),
+        )
         stack.callback(processes.stop_all, [learner])
         actors = ActorSupervisor(settings)
         stack.callback(actors.stop)

@@ -11,8 +11,10 @@ from typing import Any
 
 from common.config.settings import RunSettings
 from common.errors import INTERRUPTED, ReskpnError
+from common.log.lock import LogLock
+from common.log.segments import LOG_DIRECTORY
 from common.memory import keep_large_blocks
-from common.runs.directory import SETTINGS, SUMMARY, prepare_run_dir, write_json
+from common.runs.directory import SUMMARY, claim_run_dir, write_settings
 from common.runtime import enable_compilation_cache
 from common.wire.listener import make_listener_monitor, require_authentication
 from common.wire.session import Session
@@ -28,10 +30,13 @@ from services.learner.training.checkpoints import Checkpoints
 from services.learner.training.trainer import Trainer
 
 
-def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = False) -> int:
+def run_learner(
+    settings: RunSettings, *, stop: threading.Event, resume: bool = False, lock: LogLock | None = None
+) -> int:
     """Serve one run to its end, in this process. Returns the exit code: 0, or 130 where `stop` was set.
 
-    `resume`: go on with the unfinished run in `settings.run_dir`, whose settings these are.
+    `resume`: go on with the unfinished run in `settings.run_dir`, whose settings these are. `lock`: of its log, where
+    the caller holds it.
 
     Raises:
         ReskpnError: anything that keeps the run from going on. The log is closed and whole then.
@@ -44,8 +49,13 @@ def run_learner(settings: RunSettings, *, stop: threading.Event, resume: bool = 
         listener = stack.enter_context(make_listener_monitor(settings.transport))
         session = stack.enter_context(open_listener(settings.transport))
         # Only now: an address that is in use leaves no directory behind that looks like a run.
-        run_dir, resumption = _begin(settings, resume=resume)
-        outlets = stack.enter_context(open_outlets(resumption.run, settings, run_dir, stop))
+        run_dir = settings.run_dir if resume else claim_run_dir(settings)
+        assert run_dir is not None
+        lock = lock or stack.enter_context(LogLock(run_dir / LOG_DIRECTORY))
+        resumption = _resume(settings, run_dir, lock) if resume else None
+        write_settings(run_dir, settings)
+        resumption = resumption or Resumption(_new_name(settings))
+        outlets = stack.enter_context(open_outlets(resumption.run, settings, run_dir, stop, lock))
         restore_points(outlets.scalars, run_dir)
         for note in resumption.notes:
             outlets.events.add("info", "resumed", note)
@@ -106,13 +116,11 @@ def _run_to_its_end(
     return summary
 
 
-def _begin(settings: RunSettings, *, resume: bool) -> tuple[Path, Resumption]:
-    """The run's directory, and what the run goes on from."""
-    fresh = Resumption(f"{settings.task}-{settings.learner}-s{settings.seed}-{secrets.token_hex(3)}")
-    if not resume:
-        return prepare_run_dir(settings), fresh
-    assert settings.run_dir is not None
-    resumption = plan_resumption(settings, settings.run_dir)
-    write_json(settings.run_dir / SETTINGS, settings.model_dump(mode="json"))
-    (settings.run_dir / SUMMARY).unlink(missing_ok=True)  # of a run that was stopped: it is not over
-    return settings.run_dir, resumption or fresh
+def _resume(settings: RunSettings, run_dir: Path, lock: LogLock) -> Resumption | None:
+    resumption = plan_resumption(settings, run_dir, lock)
+    (run_dir / SUMMARY).unlink(missing_ok=True)  # of a run that was stopped: it is not over
+    return resumption
+
+
+def _new_name(settings: RunSettings) -> str:
+    return f"{settings.task}-{settings.learner}-s{settings.seed}-{secrets.token_hex(3)}"

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from common.config.settings import RunSettings
 from common.errors import LogWriteError
+from common.log.lock import LogLock
 from common.log.segments import LOG_DIRECTORY
 from common.log.writer import LogWriter
 from common.physics.assets import model_xml
@@ -48,8 +48,10 @@ class Outlets:
 
 
 @contextmanager
-def open_outlets(run: str, settings: RunSettings, run_dir: Path, stop: threading.Event) -> Iterator[Outlets]:
-    """Open all of them; `stop` is set when the log fails. Raises LogWriteError as `LogWriter`."""
+def open_outlets(
+    run: str, settings: RunSettings, run_dir: Path, stop: threading.Event, lock: LogLock | None = None
+) -> Iterator[Outlets]:
+    """Open all of them; `stop` is set when the log fails. Raises LogWriteError as `LogWriter`, which has `lock`."""
     failures: list[LogWriteError] = []
 
     def on_log_error(error: LogWriteError) -> None:
@@ -57,7 +59,7 @@ def open_outlets(run: str, settings: RunSettings, run_dir: Path, stop: threading
         stop.set()
 
     with ExitStack() as stack:
-        log = stack.enter_context(_open_log(run, settings, run_dir, on_log_error))
+        log = stack.enter_context(_open_log(run, settings, run_dir, lock, on_log_error))
         display = make_display(
             f"ResKPN {run}: {settings.learner} on {settings.task}, {settings.updates} updates of "
             f"{settings.batch_size:,} steps\nlistening on {settings.transport.endpoint}; files in {run_dir}"
@@ -70,7 +72,9 @@ def open_outlets(run: str, settings: RunSettings, run_dir: Path, stop: threading
         yield Outlets(log, display, events, scalars, failures)
 
 
-def _open_log(run: str, settings: RunSettings, run_dir: Path, on_error: Any) -> LogWriter:
+def _open_log(
+    run: str, settings: RunSettings, run_dir: Path, lock: LogLock | None, on_error: Callable[[LogWriteError], None]
+) -> LogWriter:
     versions = software_versions()
     commit = source_commit()
     log = LogWriter(
@@ -84,6 +88,7 @@ def _open_log(run: str, settings: RunSettings, run_dir: Path, on_error: Any) -> 
             "hardware": hardware(),
         },
         attachments={f"{settings.task}.xml": ("application/xml", model_xml(settings.task).encode())},
+        lock=lock,
         on_error=on_error,
     )
     spec = {"run": run, "commit": commit, "settings": settings.model_dump(mode="json"), "versions": versions}

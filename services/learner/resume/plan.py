@@ -11,6 +11,7 @@ import numpy as np
 
 from common.config.settings import RunSettings
 from common.errors import CodecError, LogReadError
+from common.log.lock import LogLock
 from common.log.reader import LogReader
 from common.log.repair import repair
 from common.log.segments import LOG_DIRECTORY, list_segments
@@ -49,10 +50,11 @@ class Resumption:
     notes: Sequence[str] = ()
 
 
-def plan_resumption(settings: RunSettings, run_dir: Path) -> Resumption | None:
+def plan_resumption(settings: RunSettings, run_dir: Path, lock: LogLock | None = None) -> Resumption | None:
     """Repair the log in `run_dir`, read it, and choose the newest restore point that it confirms.
 
     None where the run was interrupted before its log had begun: there is nothing to go on from, and nothing is lost.
+    The caller that goes on to write the log holds its `lock`: another process could otherwise write in between.
 
     Raises:
         LogReadError, LogWriteError: the log is damaged before its end, or another learner is writing it.
@@ -60,7 +62,7 @@ def plan_resumption(settings: RunSettings, run_dir: Path) -> Resumption | None:
     """
     if not list_segments(run_dir / LOG_DIRECTORY):
         return None
-    notes = repair_log(run_dir)
+    notes = repair_log(run_dir, lock)
     run = LogReader(run_dir).metadata().get("run", {}).get("run")
     if run is None:
         return None
@@ -84,10 +86,10 @@ def plan_resumption(settings: RunSettings, run_dir: Path) -> Resumption | None:
     )
 
 
-def repair_log(run_dir: Path) -> list[str]:
+def repair_log(run_dir: Path, lock: LogLock | None = None) -> list[str]:
     """Make the torn segments of the log whole; returns a line for each."""
     notes = []
-    for segment in repair(run_dir).segments:
+    for segment in repair(run_dir, lock).segments:
         kept = f", {segment.dropped_bytes:,} bytes of an incomplete record kept aside in {segment.torn_path}"
         notes.append(
             f"repaired {segment.path}: {segment.messages} messages are whole{kept if segment.torn_path else ''}"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from common.config.settings import TransportSettings
 from common.errors import CodecError
+from common.log.lock import LogLock
 from common.log.reader import LogReader
 from common.wire.keys import JOIN, Keys
 from common.wire.listener import make_listener_monitor, require_authentication
@@ -33,10 +34,12 @@ def send_shutdown_notice(
     stop: threading.Event,
     say: Callable[[str], None],
     wait_s: float = WAIT_S,
+    lock: LogLock | None = None,
 ) -> None:
     """Notify actors that work for the run in `run_dir`, or ask to, that it is over; then close its log.
 
-    This takes `wait_s`, and longer while requests keep arriving, up to `LONGEST_S`.
+    This takes `wait_s`, and longer while requests keep arriving, up to `LONGEST_S`. `lock`: of the log, where the
+    caller holds it.
 
     Raises:
         SessionError, SettingsError: as for a learner that begins.
@@ -63,7 +66,7 @@ def send_shutdown_notice(
             now_s = time.monotonic()
             if now_s > began_s + LONGEST_S or now_s > max(began_s + wait_s, asked_s + QUIET_S):
                 break
-    for note in repair_log(run_dir):
+    for note in repair_log(run_dir, lock):
         say(note)
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import CheckpointError, CodecError
+from common.files import create, read_bytes
 from common.runs.directory import KEPT_CHECKPOINTS
 from common.wire.codec import Limits
 from common.wire.messages import Snapshot, digest_arrays
@@ -98,7 +99,7 @@ def read_checkpoint(path: Path) -> Snapshot:
         CheckpointError: the file is absent, damaged (its digest does not hold) or of another schema.
     """
     try:
-        return Snapshot.decode(path.read_bytes(), _LIMITS)
+        return Snapshot.decode(read_bytes(path), _LIMITS)
     except OSError as error:
         raise CheckpointError(f"cannot read the checkpoint {path}: {error.strerror}") from None
     except CodecError as error:
@@ -123,7 +124,7 @@ def _write(path: Path, content: Snapshot) -> None:
     beside = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with beside.open("wb") as file:
+        with create(beside) as file:
             file.write(content.encode())
             file.flush()
             os.fsync(file.fileno())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -224,7 +225,9 @@ def test_two_learners_cannot_write_one_log(tmp_path: Path) -> None:
     """The second is told which process is in its way; after the first has closed, the log is free."""
     with (
         LogWriter(tmp_path),
-        pytest.raises(LogWriteError, match=rf"written by another process \(pid {os.getpid()}\)"),
+        pytest.raises(
+            LogWriteError, match=rf"written by another process \(pid {os.getpid()} on host {platform.node()}\)"
+        ),
     ):
         LogWriter(tmp_path)
     LogWriter(tmp_path).close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import services.learner.resume.shutdown_notice
 import services.learner.service
 from common.config.settings import RunSettings, TransportSettings
 from common.errors import LogReadError
+from common.log.lock import LogLock
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from reskpn.cli import main
@@ -32,11 +34,11 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, RunSettings, bool]
     """Instead of running: which command began, with which settings, and whether it resumes."""
     calls: list[tuple[str, RunSettings, bool]] = []
 
-    def train(settings: RunSettings, *, resume: bool = False) -> int:
-        calls.append(("train", settings, resume))
+    def train(settings: RunSettings, *, resume: object = None) -> int:
+        calls.append(("train", settings, resume is not None))
         return 0
 
-    def run_learner(settings: RunSettings, *, stop: object, resume: bool = False) -> int:
+    def run_learner(settings: RunSettings, *, stop: object, resume: bool = False, lock: object = None) -> int:
         calls.append(("learner", settings, resume))
         return 0
 
@@ -216,3 +218,26 @@ def test_what_is_refused(
     assert main([word.format(run_dir) for word in words]) == 2
     assert sentence in capsys.readouterr().err
     assert begun == []
+
+
+@pytest.mark.parametrize("words", [["train", "--resume", "{}"], ["learner", "--resume", "{}"]])
+def test_a_run_that_is_being_resumed_is_refused(
+    begun: list[Any], run_dir: Path, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    """Before anything of its log is read or repaired, with the process and host that hold it."""
+    with LogLock(run_dir / "log"):
+        assert main([word.format(run_dir) for word in words]) == 5
+    assert f"being written by another process (pid {os.getpid()} on host {platform.node()})" in capsys.readouterr().err
+    assert begun == []
+    assert main([word.format(run_dir) for word in words]) == 0
+
+
+def test_a_run_with_links_in_it_is_not_resumed(
+    begun: list[Any], run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They could lead anywhere: the link is named, and nothing is written."""
+    (tmp_path / "victim").write_text("precious")
+    (run_dir / "log" / "00000.mcap.torn").symlink_to(tmp_path / "victim")
+    assert main(["train", "--resume", str(run_dir)]) == 5
+    assert "00000.mcap.torn is in the way of resuming or repairing: it is a symbolic link" in capsys.readouterr().err
+    assert (begun, (tmp_path / "victim").read_text()) == ([], "precious")
