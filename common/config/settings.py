@@ -12,6 +12,8 @@ from typing import Literal, Self
 
 from pydantic import field_validator, model_validator
 
+from common.config import critic as critics
+from common.config.critic import CriticSettings
 from common.config.kinds import Count, Fraction, Names, Natural, NotNegative, Positive, Section, Seed, Staleness, Widths
 from common.config.rkhs import RkhsSettings, impossibility
 from common.engine_names import PHYSICS
@@ -147,6 +149,7 @@ class RunSettings(Section):
 
     algorithm: AlgorithmSettings = AlgorithmSettings()
     rkhs: RkhsSettings = RkhsSettings()
+    critic: CriticSettings = CriticSettings()
     transport: TransportSettings = TransportSettings()
     log: LogSettings = LogSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
@@ -205,6 +208,8 @@ class RunSettings(Section):
                 f"num_steps ({self.num_steps}) must not be longer than an episode ({self.episode_length} steps)"
             )
         if (reason := impossibility(self.rkhs, batch, self.num_envs)) is not None:
+            raise ValueError(reason)
+        if (reason := critics.impossibility(self.critic, batch, self.num_envs)) is not None:
             raise ValueError(reason)
         return self
 

@@ -132,6 +132,8 @@ def finiteness(state: LearnerState) -> Metrics:
         "observation moments": state.observations,
         "return moments": (state.returns, state.discounted),
     }
+    if jax.tree.leaves(state.critic):
+        parts["kernel critic"] = state.critic
     return {
         f"finite/{name}": jnp.all(
             jnp.stack([jnp.all(jnp.isfinite(leaf.astype(jnp.float32))) for leaf in jax.tree.leaves(part)])

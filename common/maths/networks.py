@@ -125,6 +125,11 @@ class Networks:
     def value(self, parameters: Parameters, observation: Float[Array, "B O"]) -> Float[Array, "B"]:
         return nnx.merge(self.critic, parameters)(observation)
 
+    def critic_features(self, parameters: Parameters, observation: Float[Array, "B O"]) -> Float[Array, "B d"]:
+        """The input of the critic's last layer, over the root of its size as the features of the kernel are."""
+        z = nnx.merge(self.critic, parameters).features(observation)
+        return z * (z.shape[-1] ** -0.5)
+
 
 def make_networks(
     observation_size: int,

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt32
 
 from common.config.settings import AlgorithmSettings
 from common.maths import running
+from common.maths.critic.kernel_critic import NO_CORRECTION, CriticState
 from common.maths.expansion import RepresentationState
 from common.maths.networks import Networks, Parameters
 from common.maths.policy import Policy
@@ -26,6 +27,7 @@ class LearnerState:
     """State of the learner after `version` updates.
 
     representation_state: v and what else the representation of h keeps; stored as `momentum` (see `trees`).
+    critic: the correction g of the critic's network; without arrays in a run that has none.
     discounted: forward-discounted return of every environment of every slot, for the scale of the rewards.
     key: threefry key data; update v draws only from `fold_in(key, v)`.
     """
@@ -39,6 +41,7 @@ class LearnerState:
     discounted: Float[Array, "S N"]
     key: UInt32[Array, "2"]
     version: Int[Array, ""]
+    critic: CriticState
 
     @property
     def policy(self) -> Policy:
@@ -93,6 +96,7 @@ def initial_state(
     slots: int,
     envs_per_slot: int,
     seed: int,
+    critic: CriticState = NO_CORRECTION,
 ) -> LearnerState:
     """The state before the first update: h = 0, nothing observed."""
     expansion, representation_state = representation.empty(networks.feature_size, networks.action_size)
@@ -106,4 +110,5 @@ def initial_state(
         discounted=jnp.zeros((slots, envs_per_slot), jnp.float32),
         key=jax.random.key_data(jax.random.fold_in(jax.random.key(seed), 0x5EED)),
         version=jnp.zeros((), jnp.int32),
+        critic=critic,
     )

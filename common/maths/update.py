@@ -19,6 +19,7 @@ from jaxtyping import Float, Int, Key
 from common.config.settings import AlgorithmSettings, RunSettings
 from common.learners import LEARNERS, Learner
 from common.maths import gaussians, objectives, policy, returns, running
+from common.maths.critic.kernel_critic import KernelCritic, make_kernel_critic
 from common.maths.diagnostics import Diagnostics, finiteness
 from common.maths.functional import FunctionalStep, Metrics
 from common.maths.networks import Networks, Parameters, within_bound
@@ -37,6 +38,7 @@ class Update:
     algorithm: AlgorithmSettings
     optimiser: optax.GradientTransformation
     step: FunctionalStep
+    critic: KernelCritic
     diagnostics: Diagnostics
 
     @property
@@ -61,7 +63,10 @@ class Update:
         whitened = self._whitened(state, batch)
         by_step = self._samples(state, whitened, reward)
         samples = jax.tree.map(flatten, by_step)
-        parameters, optimiser, losses = self._train_networks(state, samples, shuffle_key)
+        # Equal to the samples' value without a kernel critic: the compiler makes one array of both.
+        network_value = self._network_value(state, by_step.obs)
+        parameters, optimiser, losses = self._train_networks(state, samples, flatten(network_value), shuffle_key)
+        critic, critic_metrics = self.critic.refit(state.critic, parameters, by_step.obs, by_step.target)
         expansion, representation_state, rkhs_metrics = state.expansion, state.representation_state, Metrics()
         if expansion.capacity:
             pairs = self._pairs(state, whitened, by_step, return_moments)
@@ -81,8 +86,9 @@ class Update:
             discounted=discounted,
             key=state.key,
             version=state.version + 1,
+            critic=critic,
         )
-        metrics = losses | rkhs_metrics | self.diagnostics(state, new, samples) | finiteness(new)
+        metrics = losses | rkhs_metrics | critic_metrics | self.diagnostics(state, new, samples) | finiteness(new)
         return new, {name: jnp.asarray(value, jnp.float32) for name, value in metrics.items()}
 
     def _scaled_rewards(self, state: LearnerState, batch: Batch) -> tuple[running.Moments, Array, Array]:
@@ -181,20 +187,32 @@ class Update:
         return Pairs(taken, Samples(taken.obs, batch.mirror_action, taken.log_prob, taken.value, advantage))
 
     def _value(self, state: LearnerState, obs: Float[Array, "*batch O"]) -> Float[Array, "*batch"]:
+        """V, with the correction g of its network where the run has one."""
+        flat = obs.reshape(-1, obs.shape[-1])
+        return self.critic.value(state.critic, state.parameters, flat).reshape(obs.shape[:-1])
+
+    def _network_value(self, state: LearnerState, obs: Float[Array, "*batch O"]) -> Float[Array, "*batch"]:
+        """V without its correction."""
         flat = obs.reshape(-1, obs.shape[-1])
         return self.networks.value(state.parameters["critic"], flat).reshape(obs.shape[:-1])
 
     def _train_networks(
-        self, state: LearnerState, samples: Samples, key: Key[Array, ""]
+        self, state: LearnerState, samples: Samples, network_value: Float[Array, "B"], key: Key[Array, ""]
     ) -> tuple[Parameters, optax.OptState, Metrics]:
-        """Epochs of minibatches; h is constant here, gradients flow through it into the features."""
+        """Epochs of minibatches; h and g are constant here, gradients flow through h into the features.
+
+        Args:
+            network_value: of the critic's network alone, which learns the whole target: g is fitted to what is left.
+        """
         count, parts = samples.log_prob.shape[0], self.algorithm.minibatches
 
         def minibatch(
             carry: tuple[Parameters, optax.OptState], rows: Int[Array, "b"]
         ) -> tuple[tuple[Parameters, optax.OptState], Metrics]:
             parameters, optimiser = carry
-            gradient, metrics = jax.grad(self._loss, has_aux=True)(parameters, state.expansion, samples[rows])
+            gradient, metrics = jax.grad(self._loss, has_aux=True)(
+                parameters, state.expansion, samples[rows], network_value[rows]
+            )
             updates, optimiser = self.optimiser.update(gradient, optimiser, parameters)
             metrics["gradient_norm"] = optax.tree.norm(gradient)
             parameters = within_bound(optax.apply_updates(parameters, updates), self.algorithm.max_log_std)
@@ -206,7 +224,9 @@ class Update:
         (parameters, optimiser), metrics = jax.lax.scan(minibatch, (state.parameters, state.optimiser), rows)
         return parameters, optimiser, {f"train/{name}": jnp.mean(values) for name, values in metrics.items()}
 
-    def _loss(self, parameters: Parameters, function: Function, samples: Samples) -> tuple[Float[Array, ""], Metrics]:
+    def _loss(
+        self, parameters: Parameters, function: Function, samples: Samples, network_value: Float[Array, "b"]
+    ) -> tuple[Float[Array, ""], Metrics]:
         """The scalar that is descended on one minibatch."""
         settings = self.algorithm
         mean = policy.evaluate(self.networks, self.representation, parameters["policy"], function, samples.obs)
@@ -220,7 +240,7 @@ class Update:
             gain = objectives.clipped(ratio, advantage, clip=settings.clip)
         value_loss = objectives.clipped_value_loss(
             self.networks.value(parameters["critic"], samples.obs),
-            samples.value,
+            network_value,
             samples.target,
             clip=settings.clip,
         )
@@ -251,5 +271,6 @@ def make_update(settings: RunSettings, networks: Networks) -> Update:
         algorithm=settings.algorithm,
         optimiser=make_optimiser(settings.algorithm),
         step=step,
+        critic=make_kernel_critic(settings, networks),
         diagnostics=Diagnostics(step),
     )

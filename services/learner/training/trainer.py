@@ -41,6 +41,7 @@ class Trainer:
             LEARNERS[settings.learner],
         )
         self._settings = settings
+        self._iteration = make_update(settings, networks)
         self._state = initial_state(
             networks,
             parameters,
@@ -49,8 +50,8 @@ class Trainer:
             slots=settings.actors,
             envs_per_slot=settings.envs_per_actor,
             seed=settings.seed,
+            critic=self._iteration.critic.empty(),
         )
-        self._iteration = make_update(settings, networks)
         self._update: Callable[[LearnerState, Batch], tuple[LearnerState, Metrics]] = jax.jit(self._iteration)
         self._version = 0
 

@@ -46,6 +46,7 @@ def small_learner(
     networks, parameters = make_networks(
         observation_size, action_size, settings.algorithm.hidden, settings.seed, LEARNERS[settings.learner]
     )
+    update = make_update(settings, networks)
     start = initial_state(
         networks,
         parameters,
@@ -54,8 +55,8 @@ def small_learner(
         slots=settings.actors,
         envs_per_slot=settings.envs_per_actor,
         seed=settings.seed,
+        critic=update.critic.empty(),
     )
-    update = make_update(settings, networks)
     return SmallLearner(settings, networks, update, start, jax.jit(update))
 
 
