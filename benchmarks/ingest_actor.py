@@ -13,7 +13,8 @@ import numpy as np
 
 from common.config.settings import RunSettings
 from common.runs.rollout_shape import rollout_shape
-from common.wire.messages import Orders, Rollout, RolloutShape
+from common.wire.messages import Orders
+from common.wire.rollout import Rollout, RolloutShape
 from common.wire.session import Session, open_session
 from services.actor.heartbeat import HeartbeatSender
 from services.actor.link import ActorLink

@@ -16,7 +16,7 @@ from common.config.settings import RunSettings
 from common.errors import ProcessError
 from common.log.writer import LogWriter
 from common.maths.trees import to_arrays
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from common.wire.session import open_session
 from services.learner.endpoints.hub import Hub
 from services.learner.training.snapshots import make_snapshot

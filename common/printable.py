@@ -17,3 +17,15 @@ _SECRET = re.compile(r"[0-9a-f]{32,}")
 def shortened(incarnation: str) -> str:
     """The part of an incarnation that others may see: whoever knows the whole can act for its slot."""
     return incarnation[:8] if _SECRET.fullmatch(incarnation) else incarnation
+
+
+def quoted(value: object, limit: int = 60) -> str:
+    """A value that came over the network, for an error text: its repr, of at most `limit` characters of it.
+
+    Nothing but the part that is shown is ever formatted: the repr of a value can take several times its memory.
+    """
+    if isinstance(value, str | bytes):
+        return repr(value[:limit]) + ("..." if len(value) > limit else "")
+    if value is None or isinstance(value, bool | int | float):
+        return repr(value)[:limit]
+    return f"a value of type {type(value).__name__}"

@@ -15,6 +15,6 @@ The log is read as the loop goes on and needs no JAX. Arrays are NumPy's and rea
 from common.log.records import LogMessage
 from common.runs.recorded_run import RecordedRun, open_run
 from common.runs.recorded_updates import RecordedUpdate
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 
 __all__ = ["LogMessage", "RecordedRun", "RecordedUpdate", "Rollout", "open_run"]

@@ -30,6 +30,7 @@ from common.tasks import TASKS
 from common.wire.assessment import Assessment
 from common.wire.keys import JOIN, STATUS, Keys
 from common.wire.messages import (
+    ACCEPTED,
     Environment,
     Evaluation,
     Heartbeat,
@@ -37,11 +38,11 @@ from common.wire.messages import (
     JoinReply,
     Orders,
     PushReply,
-    Rollout,
     Snapshot,
     digest_arrays,
 )
 from common.wire.report import Progress, RunReport
+from common.wire.rollout import Rollout
 from common.wire.session import Request
 from services.learner.endpoints.hub import Hub
 from services.learner.reporting.evaluations import source_of
@@ -171,7 +172,7 @@ class Siege:
             self._doors.heard[KEYS.heartbeats](KEYS.heartbeat(slot), _heartbeat(slot, name).encode())
             self.generations[name] = reply.generation
             made = self._rollout(slot, name, 0)
-            assert self._push(made.encode(), slot) == PushReply("accepted", "")
+            assert self._push(made.encode(), slot) == ACCEPTED
         batch = self.hub.rollouts(DEADLINE_S)
         assert batch is not None
         assert [rollout.incarnation for rollout in batch] == self.names
@@ -204,8 +205,8 @@ class Siege:
             "heartbeat": _heartbeat(slot, name).encode(),
             "orders": Orders(RUN, self.version, "d", 99, {0: 2, 1: 1}, {1: 2}, False, 5).encode(),
             "snapshot": _snapshot(self.version).encode(),
-            "push_reply": PushReply("busy", "the learner's queue is full").encode(),
-            "join_reply": JoinReply(True, "", False, RUN, slot, 0, SETTINGS.model_dump_json()).encode(),
+            "push_reply": PushReply.busy("queue_full", "the learner's queue is full").encode(),
+            "join_reply": JoinReply.granted(RUN, slot, 0, SETTINGS.model_dump_json()).encode(),
             "report": self.hub.report().encode(),
         }
 
@@ -236,7 +237,7 @@ class Siege:
     def _attack_rollout(self, data: bytes) -> None:
         reply = self._push(data, self._rng.randrange(SETTINGS.actors + 1))
         if reply.status == "refused":
-            self._count("rollout", reply.reason.partition(":")[0])
+            self._count("rollout", reply.slug)
 
     def _attack_environment(self, data: bytes) -> None:
         """None was asked for. An empty one asks what to go on from: nothing, at a run's start."""
@@ -246,18 +247,18 @@ class Siege:
             return
         reply = PushReply.decode(answer)
         assert reply.status == "refused"
-        self._count("environment", reply.reason.partition(":")[0])
+        self._count("environment", reply.slug)
 
     def _attack_evaluation(self, data: bytes) -> None:
         key = KEYS.evaluation(self._rng.randrange(SETTINGS.actors))
         reply = PushReply.decode(self._ask(key, data, KEYS.evaluations))
         if reply.status == "refused":
-            self._count("evaluation", reply.reason.partition(":")[0])
+            self._count("evaluation", reply.slug)
 
     def _attack_assessment(self, data: bytes) -> None:
         reply = PushReply.decode(self._ask(KEYS.assessment(EVALUATOR), data, KEYS.assessments))
         if reply.status == "refused":
-            self._count("assessment", reply.reason.partition(":")[0])
+            self._count("assessment", reply.slug)
         else:
             self.assessed.add(Assessment.decode(data).version)
 

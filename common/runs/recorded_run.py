@@ -14,7 +14,7 @@ from common.log.reader import LogMessage, LogReader, TornTail
 from common.log.segments import find_segments
 from common.runs.origins import origin
 from common.runs.recorded_updates import TOPICS, RecordedUpdate, UpdateReader
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 
 
 class RecordedRun:

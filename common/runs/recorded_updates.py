@@ -12,7 +12,7 @@ from common.log.records import LogMessage
 from common.runs.rollout_shape import rollout_shape
 from common.runs.rollout_window import RolloutWindow
 from common.wire.codec import Limits
-from common.wire.messages import Rollout, RolloutShape
+from common.wire.rollout import Rollout, RolloutShape
 
 TOPICS = ("/rollout", "/update")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from common.config.settings import RunSettings
 from common.tasks import TASKS
-from common.wire.messages import RolloutShape
+from common.wire.rollout import RolloutShape
 
 
 def rollout_shape(settings: RunSettings) -> RolloutShape:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from common.errors import LogReadError
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 
 BATCHES = 8
 """Batches of rollouts that are kept for use; a learner keeps no more than a few."""

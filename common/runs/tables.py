@@ -19,7 +19,7 @@ from common.errors import SettingsError
 from common.runs.recorded_run import RecordedRun
 from common.runs.recorded_updates import RecordedUpdate
 from common.tasks import TASKS
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 
 ROLLOUTS, EPISODES, METRICS = "rollouts.parquet", "episodes.parquet", "metrics.parquet"
 FILES = (ROLLOUTS, EPISODES, METRICS)

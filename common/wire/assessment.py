@@ -1,4 +1,4 @@
-"""What an evaluator found out about one version of the policy: its message to the learner."""
+"""An evaluator's figures for one version of the policy: its message to the learner."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import numpy as np
 
 from common.errors import CodecError
 from common.wire.codec import LIMITS, Limits
-from common.wire.fields import array, real, require_finite, text
+from common.wire.fields import MAX_MAGNITUDE, Amount, Count, RunId, array, check_episodes, require_bounded, text
 from common.wire.keys import RUN_ID
 from common.wire.message import Message
-from common.wire.messages import Count, RunId, check_episodes
 
 MAX_EPISODES = 1024
 MAX_POSITIONS = 1 << 15
@@ -33,7 +32,7 @@ class Assessment(Message):
     episode_return: Annotated[np.ndarray, array("float32", "e")]
     episode_length: Annotated[np.ndarray, array("int32", "e")]
     qpos: Annotated[np.ndarray, array("float32", "t q")]
-    step_s: Annotated[float, real]
+    step_s: Amount
 
     @classmethod
     def decode(cls, data: bytes, limits: Limits = LIMITS) -> Self:
@@ -58,4 +57,4 @@ def _check_positions(qpos: np.ndarray, steps: int) -> None:
             "bad_shape",
             f"qpos has shape {qpos.shape}; allowed: {MAX_POSITIONS:,} numbers, and the {steps:,} steps of the episode",
         )
-    require_finite("qpos", qpos)
+    require_bounded("qpos", qpos, MAX_MAGNITUDE)

@@ -17,8 +17,9 @@ import msgpack
 import numpy as np
 
 from common.errors import CodecError
+from common.printable import quoted
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Of all messages together: both sides of a connection must have the same."""
 
 DTYPES: Mapping[str, np.dtype[Any]] = {
@@ -147,12 +148,12 @@ _local = _Local()
 def _unpack_array(raw: Mapping[str, Any]) -> np.ndarray:
     name, shape, data = raw["dtype"], raw["shape"], raw["bytes"]
     if not isinstance(name, str) or name not in DTYPES:
-        raise CodecError("bad_dtype", f"an array of dtype {name!r:.40}; allowed: {', '.join(DTYPES)}")
+        raise CodecError("bad_dtype", f"an array of dtype {quoted(name, 40)}; allowed: {', '.join(DTYPES)}")
     dtype = DTYPES[name]
     if not isinstance(data, bytes) or not _is_shape(shape):
         raise CodecError(
             "bad_array",
-            f"an array needs bytes and a shape of at most {MAX_NDIM} sizes >= 0; given shape {shape!r:.80}",
+            f"an array needs bytes and a shape of at most {MAX_NDIM} sizes >= 0; given {_shape_text(shape)}",
         )
     if len(data) != math.prod(shape) * dtype.itemsize:
         raise CodecError("bad_array", f"{len(data):,} bytes for an array of shape {tuple(shape)} and dtype {name}")
@@ -171,5 +172,13 @@ def _is_shape(shape: object) -> bool:
     )
 
 
+def _shape_text(shape: object) -> str:
+    # A list holds at most `Limits.max_array` elements, any of which may be a giant itself.
+    if not isinstance(shape, list):
+        return quoted(shape)
+    sizes = [quoted(size, 20) for size in shape[: MAX_NDIM + 1]]
+    return f"[{', '.join(sizes)}{', ...' if len(shape) > len(sizes) else ''}]"
+
+
 def _sentence(error: Exception) -> str:
-    return f"{error}" or type(error).__name__
+    return f"{error}"[:200] or type(error).__name__

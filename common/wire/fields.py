@@ -1,4 +1,4 @@
-"""What a field of a message may hold: readers that turn a decoded value into the field's value or raise `CodecError`.
+"""Readers of the fields of messages: each turns a decoded value into the field's value, or raises `CodecError`.
 
 A reader is attached to a field's type: `slot: Annotated[int, integer(0, 9)]`. Reasons: `bad_type`, `bad_value`,
 `bad_dtype`, `bad_shape`, `not_finite`; every sentence starts with the field's name.
@@ -9,16 +9,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from re import Pattern
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from common.errors import CodecError
+from common.printable import quoted
+from common.wire.keys import RUN_ID
 
 Reader = Callable[[str, Any], Any]
 """(field name, decoded value) -> value of the field."""
 
 MAX_SLOT = 2**31 - 1
+MAX_AMOUNT = 1e12
+"""Of seconds and rates: sums of them stay finite, and they can be shown."""
+
+MAX_MAGNITUDE = 1e10
+"""Of observations, actions and rewards: MuJoCo's own limit on coordinates. Squares and their sums fit into float32."""
+
+MAX_RETURN = 1e15
+"""Of the sum of an episode's rewards."""
 
 
 def integer(low: int = 0, high: int = 2**63 - 1) -> Reader:
@@ -34,15 +44,19 @@ def integer(low: int = 0, high: int = 2**63 - 1) -> Reader:
     return read
 
 
-def real(name: str, value: Any) -> float:
-    """A finite float >= 0; all of the messages' scalars are durations and rates."""
-    if type(value) not in (int, float):
-        raise _bad_type(name, value, "a number")
-    if not math.isfinite(value):
-        raise CodecError("not_finite", f"{name} is {value}; allowed: a finite number")
-    if value < 0:
-        raise CodecError("bad_value", f"{name} is {value}; allowed: 0 or more")
-    return float(value)
+def real(high: float) -> Reader:
+    """A finite float in [0, high]: all of the messages' scalars are durations and rates."""
+
+    def read(name: str, value: Any) -> float:
+        if type(value) not in (int, float):
+            raise _bad_type(name, value, "a number")
+        if not math.isfinite(value):
+            raise CodecError("not_finite", f"{name} is {value}; allowed: a finite number")
+        if not 0 <= value <= high:
+            raise CodecError("bad_value", f"{name} is {value}; allowed: 0 to {high:g}")
+        return float(value)
+
+    return read
 
 
 def flag(name: str, value: Any) -> bool:
@@ -60,7 +74,7 @@ def text(max_length: int, pattern: Pattern[str] | None = None) -> Reader:
         if len(value) > max_length:
             raise CodecError("bad_value", f"{name} has {len(value):,} characters; allowed: {max_length:,}")
         if pattern is not None and not pattern.fullmatch(value):
-            raise CodecError("bad_value", f"{name} is {value!r}; allowed: what matches {pattern.pattern}")
+            raise CodecError("bad_value", f"{name} is {quoted(value)}; allowed: what matches {pattern.pattern}")
         return value
 
     return read
@@ -71,7 +85,7 @@ def one_of(*allowed: str) -> Reader:
         if type(value) is not str:
             raise _bad_type(name, value, "a text")
         if value not in allowed:
-            raise CodecError("bad_value", f"{name} is {value!r:.80}; allowed: {', '.join(allowed)}")
+            raise CodecError("bad_value", f"{name} is {quoted(value)}; allowed: {', '.join(allowed)}")
         return value
 
     return read
@@ -83,7 +97,7 @@ def mapping(item: Reader, key: Reader = text(128)) -> Reader:  # noqa: B008
     def read(name: str, value: Any) -> dict[Any, Any]:
         if type(value) is not dict:
             raise _bad_type(name, value, "a map")
-        return {key(f"a key of {name}", k): item(f"{name}[{k!r:.80}]", v) for k, v in value.items()}
+        return {key(f"a key of {name}", k): item(f"{name}[{quoted(k)}]", v) for k, v in value.items()}
 
     return read
 
@@ -91,7 +105,7 @@ def mapping(item: Reader, key: Reader = text(128)) -> Reader:  # noqa: B008
 def decimal(name: str, value: Any) -> int:
     """A key that stands for a slot: msgpack's strict maps have no int keys."""
     if type(value) is not str or len(value) > 10 or not value.isascii() or not value.isdigit():
-        raise CodecError("bad_value", f"{name} is {value!r:.80}; allowed: a number in decimal digits")
+        raise CodecError("bad_value", f"{name} is {quoted(value)}; allowed: a number in decimal digits")
     return int(integer(0, MAX_SLOT)(name, int(value)))
 
 
@@ -136,5 +150,31 @@ def require_finite(name: str, given: np.ndarray) -> None:
     )
 
 
+def check_episodes(returns: np.ndarray, lengths: np.ndarray, longest: int = 2**31 - 1) -> None:
+    """Raises `CodecError` unless there are as many lengths as returns, and each is one that an episode can have."""
+    require_shape("episode_length", lengths, returns.shape)
+    require_finite("episode_return", returns)
+    if lengths.min(initial=1) < 1 or lengths.max(initial=1) > longest:
+        bad = lengths.min() if lengths.min() < 1 else lengths.max()
+        raise CodecError("bad_value", f"episode_length has {bad}; allowed: 1 to {longest:,} steps")
+
+
+def require_bounded(name: str, given: np.ndarray, largest: float) -> None:
+    """Raises `CodecError`: `not_finite` as `require_finite`; `too_big` for an element beyond +-`largest`."""
+    require_finite(name, given)
+    if given.size and (bad := max(-given.min(), given.max())) > largest:
+        raise CodecError("too_big", f"{name} has an element of magnitude {bad:.3g}; allowed: up to {largest:g}")
+
+
 def _bad_type(name: str, value: Any, expected: str) -> CodecError:
     return CodecError("bad_type", f"{name} is of type {type(value).__name__}; expected {expected}")
+
+
+Count = Annotated[int, integer()]
+Slot = Annotated[int, integer(0, MAX_SLOT)]
+Text = Annotated[str, text(4096)]
+Name = Annotated[str, text(128)]
+RunId = Annotated[str, text(80, RUN_ID)]
+Amount = Annotated[float, real(MAX_AMOUNT)]
+Texts = Annotated[dict[str, str], mapping(text(1024))]
+PerSlot = Annotated[dict[int, int], mapping(integer(), key=decimal)]

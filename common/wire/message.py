@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import fields
-from typing import Any, Self, get_type_hints
+from typing import Any, ClassVar, Self, get_type_hints
 
 from common.errors import CodecError
+from common.printable import quoted
 from common.wire import codec
 from common.wire.codec import LIMITS, SCHEMA_VERSION, Limits
 from common.wire.fields import Reader
@@ -13,6 +15,9 @@ from common.wire.fields import Reader
 
 class Message:
     """Subclasses are dataclasses whose fields are annotated `Annotated[type, reader]`; see `common.wire.fields`."""
+
+    OLDEST_SCHEMA: ClassVar[int] = SCHEMA_VERSION
+    """The oldest schema version with the same fields: what is in logs and checkpoints outlives a release."""
 
     def encode(self) -> bytes:
         """The message as msgpack; `CodecError` where a value has no form in it."""
@@ -27,25 +32,26 @@ class Message:
         holds, `missing_field`, `unknown_field`, and the reasons of `common.wire.fields`.
         """
         raw = codec.decode(data, limits)
-        _check_schema(cls.__name__, raw)
+        _check_schema(cls.__name__, raw, cls.OLDEST_SCHEMA)
         readers = _readers(cls)
         given = raw.keys() - {"schema"}
         if missing := readers.keys() - given:
             raise CodecError("missing_field", f"{cls.__name__} without {', '.join(sorted(missing))}")
         if unknown := given - readers.keys():
-            names = ", ".join(sorted(map(repr, unknown)))
-            raise CodecError("unknown_field", f"{cls.__name__} with fields it does not have: {names:.200}")
+            shown = ", ".join(sorted(quoted(name, 40) for name in itertools.islice(unknown, 4)))
+            raise CodecError("unknown_field", f"{cls.__name__} with fields it does not have: {shown:.200}")
         return cls(**{name: read(name, raw[name]) for name, read in readers.items()})
 
 
-def _check_schema(message: str, raw: dict[str, Any]) -> None:
+def _check_schema(message: str, raw: dict[str, Any], oldest: int) -> None:
     if "schema" not in raw:
         raise CodecError("missing_field", f"{message} without a schema version")
     given = raw["schema"]
-    if type(given) is not int or given != SCHEMA_VERSION:
+    if type(given) is not int or not oldest <= given <= SCHEMA_VERSION:
+        older = f" and reads those from {oldest} on" if oldest < SCHEMA_VERSION else ""
         raise CodecError(
             "schema",
-            f"{message} of schema {given!r:.40}, but this side speaks schema {SCHEMA_VERSION}: "
+            f"{message} of schema {quoted(given, 40)}, but this side speaks schema {SCHEMA_VERSION}{older}: "
             "run the same release on the learner and on the actors",
         )
 

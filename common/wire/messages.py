@@ -1,56 +1,52 @@
 """The messages between a learner and its actors and evaluators.
 
 Each is a frozen dataclass: the annotation of a field says what its type is, which values and shapes it may hold, and
-how it is read. Axis letters: T steps of a rollout, N environments, O observation, A action, e episodes that ended,
-k episodes among them that the time limit cut.
+how it is read. `Rollout` is in `common.wire.rollout`, `Assessment` in `common.wire.assessment`. Axis letter: e
+episodes.
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
 import numpy as np
 
 from common.errors import CodecError
+from common.printable import quoted
 from common.wire.codec import LIMITS, Limits
 from common.wire.fields import (
-    MAX_SLOT,
+    Amount,
+    Count,
+    Name,
+    PerSlot,
+    RunId,
+    Slot,
+    Text,
+    Texts,
     any_array,
     array,
-    decimal,
+    check_episodes,
     flag,
-    integer,
     mapping,
     one_of,
-    real,
-    require_finite,
-    require_shape,
     text,
 )
-from common.wire.keys import RUN_ID
 from common.wire.message import Message
 
-Count = Annotated[int, integer()]
-Slot = Annotated[int, integer(0, MAX_SLOT)]
-Text = Annotated[str, text(4096)]
-Name = Annotated[str, text(128)]
-RunId = Annotated[str, text(80, RUN_ID)]
-Amount = Annotated[float, real]
-Texts = Annotated[dict[str, str], mapping(text(1024))]
-PerSlot = Annotated[dict[int, int], mapping(integer(), key=decimal)]
-F32TN = Annotated[np.ndarray, array("float32", "T N")]
-BoolTN = Annotated[np.ndarray, array("bool", "T N")]
+MAX_TEXT = 4096
+Slug = Annotated[str, text(40, re.compile("[a-z_]*"))]
 
 FINISHED = "finished"
-"""The slug a `JoinReply`'s reason begins with where the run is over."""
+"""The slug of a refused `JoinReply` where the run is over."""
 
 
 @dataclass(frozen=True)
 class Join(Message):
-    """May I work for you? `run` is "" where the asker takes any run. An evaluator is given the settings and no slot."""
+    """A request to work for a learner. `run` is "" where any run will do. An evaluator is given no slot."""
 
     run: Annotated[str, text(80)]
     role: Annotated[Literal["actor", "evaluator"], one_of("actor", "evaluator")]
@@ -62,14 +58,15 @@ class Join(Message):
 
 @dataclass(frozen=True)
 class JoinReply(Message):
-    """Accepted with a slot and the run's settings as JSON, or refused with a reason.
+    """Accepted with a slot and the run's settings as JSON; or refused, `slug` being the reason and `text` a sentence.
 
-    `generation` counts how often this slot was given out before; `final`: asking again will not help; `restore`: the
-    slot goes on from an environment state that the learner keeps (`Keys.environment`).
+    `generation` counts how often this slot was given out before; `final`: repeating the request will not help;
+    `restore`: the slot goes on from an environment state that the learner keeps (`Keys.environment`).
     """
 
     accepted: Annotated[bool, flag]
-    reason: Text
+    slug: Slug
+    text: Text
     final: Annotated[bool, flag]
     run: Annotated[str, text(80)]
     slot: Slot
@@ -77,118 +74,51 @@ class JoinReply(Message):
     settings: Annotated[str, text(1 << 20)]
     restore: Annotated[bool, flag] = False
 
+    @classmethod
+    def granted(cls, run: str, slot: int, generation: int, settings: str, *, restore: bool = False) -> Self:
+        return cls(True, "", "", False, run, slot, generation, settings, restore)
+
+    @classmethod
+    def refused(cls, run: str, slug: str, text: str, *, final: bool) -> Self:
+        return cls(False, slug, text[:MAX_TEXT], final, run, 0, 0, "")
+
     @property
     def finished(self) -> bool:
-        """Whether the refusal's reason is that the run is over."""
-        return self.reason.startswith(f"{FINISHED}:")
-
-
-_REAL = (
-    *("obs", "action", "log_prob", "reward", "last_obs", "truncated_obs"),
-    *("mirror_action", "mirror_reward", "mirror_obs"),
-)
-
-
-@dataclass(frozen=True)
-class RolloutShape:
-    """The sizes T, N, O, A and m that a run's rollouts have."""
-
-    num_steps: int
-    num_envs: int
-    observation_size: int
-    action_size: int
-    branches: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class Rollout(Message):
-    """T steps of N environments under one version of the policy.
-
-    `truncated_obs` are the observations in which the time limit cut an episode, in the order of
-    `np.nonzero(truncated)`; `timing` is seconds by phase; `t_ns` is the Unix time of sending. `slot`, `generation` and
-    `seq` say which environments acted with which random numbers, whoever the actor was.
-
-    `mirror_...` are the last step made once more with the mirrored action, `mirror_obs` after it; m is N, or 0 in a run
-    that does not branch.
-    """
-
-    run: RunId
-    slot: Slot
-    incarnation: Name
-    seq: Count
-    policy_version: Count
-    t_ns: Count
-    obs: Annotated[np.ndarray, array("float32", "T N O")]
-    action: Annotated[np.ndarray, array("float32", "T N A")]
-    log_prob: F32TN
-    reward: F32TN
-    terminated: BoolTN
-    truncated: BoolTN
-    last_obs: Annotated[np.ndarray, array("float32", "N O")]
-    truncated_obs: Annotated[np.ndarray, array("float32", "k O")]
-    episode_return: Annotated[np.ndarray, array("float32", "e")]
-    episode_length: Annotated[np.ndarray, array("int32", "e")]
-    timing: Annotated[dict[str, float], mapping(real)]
-    mirror_action: Annotated[np.ndarray, array("float32", "m A")]
-    mirror_reward: Annotated[np.ndarray, array("float32", "m")]
-    mirror_terminated: Annotated[np.ndarray, array("bool", "m")]
-    mirror_truncated: Annotated[np.ndarray, array("bool", "m")]
-    mirror_obs: Annotated[np.ndarray, array("float32", "m O")]
-    generation: Count = 0
-
-    @property
-    def key(self) -> tuple[int, str, int]:
-        """(slot, incarnation, seq): the same rollout sent twice has the same key."""
-        return self.slot, self.incarnation, self.seq
-
-    @property
-    def place(self) -> tuple[int, int, int]:
-        """(slot, generation, seq): where the rollout stands in a batch. Made again it has the same place."""
-        return self.slot, self.generation, self.seq
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all arrays."""
-        values = (getattr(self, field.name) for field in fields(self))
-        return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
-
-    def check(self, shape: RolloutShape) -> None:
-        """Raises `CodecError` (`bad_shape`, `bad_value`, `not_finite`) unless the rollout fits the run."""
-        steps, envs, obs, action = shape.num_steps, shape.num_envs, shape.observation_size, shape.action_size
-        require_shape("obs", self.obs, (steps, envs, obs))
-        require_shape("action", self.action, (steps, envs, action))
-        for name in ("log_prob", "reward", "terminated", "truncated"):
-            require_shape(name, getattr(self, name), (steps, envs))
-        require_shape("last_obs", self.last_obs, (envs, obs))
-        require_shape("truncated_obs", self.truncated_obs, (int(np.count_nonzero(self.truncated)), obs))
-        require_shape("mirror_action", self.mirror_action, (shape.branches, action))
-        for name in ("mirror_reward", "mirror_terminated", "mirror_truncated"):
-            require_shape(name, getattr(self, name), (shape.branches,))
-        require_shape("mirror_obs", self.mirror_obs, (shape.branches, obs))
-        if both := np.count_nonzero(self.terminated & self.truncated):
-            raise CodecError("bad_value", f"{both} steps that are both terminated and truncated; a step is at most one")
-        check_episodes(self.episode_return, self.episode_length)
-        ended = np.count_nonzero(self.terminated | self.truncated)
-        if self.episode_return.size > ended:
-            raise CodecError(
-                "bad_shape",
-                f"episode_return has {self.episode_return.size} episodes; only {ended} ended here",
-            )
-        for name in _REAL:
-            require_finite(name, getattr(self, name))
+        """Whether the request was refused since the run is over."""
+        return self.slug == FINISHED
 
 
 @dataclass(frozen=True)
 class PushReply(Message):
-    """What became of a rollout or an evaluation: `busy` asks for the same again later."""
+    """The answer to a push: `accepted`, `busy` (send the same later) or `refused`.
+
+    `slug` is the reason to count by, `text` a sentence; both are empty where a push was accepted.
+    """
 
     status: Annotated[Literal["accepted", "busy", "refused"], one_of("accepted", "busy", "refused")]
-    reason: Text
+    slug: Slug = ""
+    text: Text = ""
+
+    @classmethod
+    def busy(cls, slug: str, text: str) -> Self:
+        return cls("busy", slug, text)
+
+    @classmethod
+    def refused(cls, slug: str, text: str) -> Self:
+        return cls("refused", slug, text[:MAX_TEXT])
+
+    @classmethod
+    def of(cls, error: CodecError) -> Self:
+        """The refusal of a message that is malformed or not of the right sender."""
+        return cls.refused(error.reason, str(error))
+
+
+ACCEPTED = PushReply("accepted")
 
 
 @dataclass(frozen=True)
 class Orders(Message):
-    """What the learner wants now; said again and again, the last one counts.
+    """The work that the learner wants now; published repeatedly, the last one counts.
 
     `version`, `digest` and `size` (bytes) are the newest snapshot's; `collect` is rollouts wanted at this version by
     slot, 0 or more for every slot that is held while the run goes on; `evaluate` is episodes by slot. `hand_in`: push
@@ -209,6 +139,8 @@ class Orders(Message):
 @dataclass(frozen=True, eq=False)
 class Snapshot(Message):
     """One version of the policy as arrays by path; `digest` is `digest_arrays(arrays)`."""
+
+    OLDEST_SCHEMA = 2
 
     run: RunId
     version: Count
@@ -231,6 +163,8 @@ class Environment(Message):
     decides every rollout that follows.
     """
 
+    OLDEST_SCHEMA = 2
+
     run: RunId
     slot: Slot
     incarnation: Name
@@ -250,7 +184,7 @@ class Environment(Message):
 
 @dataclass(frozen=True)
 class Heartbeat(Message):
-    """Twice a second: what an actor is doing, for how many seconds (`state_s`), and how fast."""
+    """Sent twice a second: the state of an actor, for how many seconds it has been in it (`state_s`), and its speed."""
 
     run: RunId
     slot: Slot
@@ -306,12 +240,6 @@ def digest_arrays(arrays: Mapping[str, np.ndarray]) -> str:
 def _check_digest(what: str, digest: str, arrays: Mapping[str, np.ndarray]) -> None:
     found = digest_arrays(arrays)
     if found != digest:
-        raise CodecError("bad_digest", f"{what} says digest {digest!r}, but its arrays have {found!r}: fetch it again")
-
-
-def check_episodes(returns: np.ndarray, lengths: np.ndarray) -> None:
-    """Raises `CodecError` unless there are as many lengths as returns, each finite, each of a step or more."""
-    require_shape("episode_length", lengths, returns.shape)
-    require_finite("episode_return", returns)
-    if lengths.min(initial=1) < 1:
-        raise CodecError("bad_value", f"episode_length has {lengths.min()}; allowed: 1 step or more")
+        raise CodecError(
+            "bad_digest", f"{what} says digest {quoted(digest)}, but its arrays have {found!r}: fetch it again"
+        )

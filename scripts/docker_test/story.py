@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from common.log.reader import LogReader
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from scripts.docker_test.project import SERVICES, Project
 
 # Many small updates: they are to last longer than it takes an actor to load and compile, on any machine.

@@ -6,7 +6,8 @@ import threading
 from typing import final
 
 from common.errors import CodecError, SessionError
-from common.wire.messages import Environment, Evaluation, Heartbeat, Rollout
+from common.wire.messages import Environment, Evaluation, Heartbeat
+from common.wire.rollout import Rollout
 from common.wire.session import Session
 from services.worker.joining import Assignment, Role
 from services.worker.link import AssignmentLost, WorkerLink

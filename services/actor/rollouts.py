@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from services.worker.joining import Assignment
 
 Numbers = TypeVar("Numbers", Array, np.ndarray)

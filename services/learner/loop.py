@@ -13,8 +13,9 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from common.config.settings import RunSettings
 from common.errors import NumericsError
 from common.log.records import encode_json
-from common.wire.messages import Evaluation, Rollout
+from common.wire.messages import Evaluation
 from common.wire.report import Progress
+from common.wire.rollout import Rollout
 from services.learner.endpoints.hub import Hub
 from services.learner.reporting.curves import points_of_evaluation, points_of_update
 from services.learner.reporting.outlets import Outlets
@@ -239,7 +240,7 @@ class TrainingLoop:
     def _tick(self, phase: str, text: str) -> None:
         self._hub.announce()
         self._hub.drop_silent()
-        self._hub.excuse_absent()
+        self._hub.release_reserved()
         self._show(phase, text)
 
     # -- what is made of an update -------------------------------------------------------------------------

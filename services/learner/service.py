@@ -60,7 +60,7 @@ def run_learner(
         for note in resumption.notes:
             outlets.events.add("info", "resumed", note)
         hub = _make_hub(settings, session, outlets, resumption)
-        listener.watch(session, hub.turned_off)
+        listener.watch(session, hub.connection_refused)
         replay = ResumedReplay(hub, resumption, outlets.events.add)
         trainer = Trainer(settings)
         if resumption.arrays is not None:

@@ -8,8 +8,9 @@ from common.log.reader import LogMessage
 from common.runs.recorded_run import RecordedRun
 from common.runs.recorded_updates import RecordedUpdate
 from common.wire.keys import Keys
-from common.wire.messages import Orders, Rollout, Snapshot
+from common.wire.messages import Orders, Snapshot
 from common.wire.report import Progress
+from common.wire.rollout import Rollout
 from common.wire.session import Publisher, Session
 from services.learner.reporting.statistics import Episodes, TrainingReturn, step_reward
 

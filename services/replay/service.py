@@ -12,7 +12,7 @@ from common.runs.recorded_run import RecordedRun
 from common.runs.recorded_updates import RecordedUpdate
 from common.wire.access import Names, listening_only
 from common.wire.credentials import NOBODY, Credentials
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from common.wire.session import open_session
 from services.replay.player import Player
 

@@ -103,11 +103,11 @@ def join(
                 settings = parse_json(reply.settings)
                 return Assignment(reply.run, reply.slot, reply.generation, incarnation, settings, reply.restore)
             if reply.finished:
-                waiting(reply.reason)
+                waiting(reply.text)
                 return None
             if reply.final:
-                raise RefusedError(f"the learner does not take this {role}: {reply.reason}")
-            state, reason = "standing by", reply.reason
+                raise RefusedError(f"the learner does not take this {role}: {reply.text}")
+            state, reason = "standing by", reply.text
         asked(state)
         if reason != told:
             waiting(reason)

@@ -96,18 +96,17 @@ class WorkerLink(ABC):
             if reply.status == "accepted":
                 return True
             if reply.status == "refused":
-                return self._refused(reply.reason)
+                return self._refused(reply)
             stop.wait(BUSY_S)
         return False
 
-    def _refused(self, reason: str) -> bool:
+    def _refused(self, reply: PushReply) -> bool:
         """False for a message that came too late; raises for every other refusal."""
-        slug = reason.split(":")[0]
-        if slug in ("stale", "surplus"):
+        if reply.slug in ("stale", "surplus"):
             return False
-        if slug in ("incarnation", "gap"):
-            raise AssignmentLost(reason)
-        raise RefusedError(f"the learner refused what this {self.role} sent: {reason}")
+        if reply.slug in ("incarnation", "gap"):
+            raise AssignmentLost(f"{reply.slug}: {reply.text}")
+        raise RefusedError(f"the learner refused what this {self.role} sent: {reply.slug}: {reply.text}")
 
     def _on_orders(self, key: str, data: bytes) -> None:
         try:

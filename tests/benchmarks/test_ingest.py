@@ -18,7 +18,7 @@ from common.config.settings import RunSettings
 from common.log.reader import LogReader
 from common.runs.rollout_shape import rollout_shape
 from common.wire.endpoint import free_port
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 
 
 def point(actors: int, rollouts: int, cpu_s: float = 1.0, idle_cpu: float = 0.0) -> Point:

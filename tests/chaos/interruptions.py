@@ -20,8 +20,8 @@ from pathlib import Path
 from common.errors import SessionError
 from common.log.reader import LogReader
 from common.wire.endpoint import free_port
-from common.wire.messages import Rollout
 from common.wire.report import RunReport
+from common.wire.rollout import Rollout
 from reskpn.commands.status import ask, connect
 from tests.chaos import faulty
 
@@ -329,10 +329,10 @@ def audited(run_dir: Path, updates: int | None, *, waiting_updates: int = 2) -> 
     for message in LogReader(run_dir).messages(["/rollout", "/update"]):
         if message.topic == "/rollout":
             rollout = Rollout.decode(message.data)
-            assert rollout.place not in seen, f"logged twice: {rollout.place}"
+            assert rollout.id not in seen, f"logged twice: {rollout.id}"
             assert rollout.seq == 0 or (rollout.slot, rollout.generation, rollout.seq - 1) in seen, "acknowledged, lost"
-            seen.add(rollout.place)
-            waiting.add(rollout.place)
+            seen.add(rollout.id)
+            waiting.add(rollout.id)
             continue
         update = message.json()
         assert update["version"] == len(digests) + 1

@@ -17,8 +17,9 @@ import msgpack
 import numpy as np
 
 from common.wire.keys import JOIN, STATUS, Keys
-from common.wire.messages import Environment, Evaluation, JoinReply, PushReply, Rollout, digest_arrays
+from common.wire.messages import Environment, Evaluation, JoinReply, PushReply, digest_arrays
 from common.wire.report import RunReport
+from common.wire.rollout import Rollout
 
 WRONG_FROM, WRONG_TO = 11, 15
 """Numbers of the rollouts beside which it misbehaves: environments are not asked for at these versions."""
@@ -66,7 +67,7 @@ class Rogue:
 
     def _refuse(self, kind: str, reason: str, answer: bytes) -> None:
         reply = PushReply.decode(answer)
-        assert (reply.status, reply.reason.partition(":")[0]) == ("refused", reason), (kind, reason, reply)
+        assert (reply.status, reply.slug) == ("refused", reason), (kind, reason, reply)
         self._refused[kind][reason] += 1
 
     def _accept(self, answer: bytes) -> None:

@@ -18,7 +18,7 @@ from typing import Any, Self
 from network import Network
 
 from common.log.reader import LogReader
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from reskpn.authority import make_all
 
 PORT = 7447

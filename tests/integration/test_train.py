@@ -15,7 +15,7 @@ from small_runs import ACTORS, BATCH, ENVS, STEPS, Training, small_run
 
 from common.config.sources import parse_json
 from common.log.reader import LogReader
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from services.learner.training.checkpoints import list_checkpoints, read_checkpoint
 from services.learner.training.trainer import Trainer
 
@@ -161,7 +161,7 @@ def test_async_mode(tmp_path: Path) -> None:
     logged = [Rollout.decode(message.data).key for message in LogReader(training.run_dir).messages(["/rollout"])]
     for version, used in enumerate(updates):
         assert {rollout.key for rollout in used} == set(logged[ACTORS * version : ACTORS * (version + 1)])
-        assert [rollout.place for rollout in used] == sorted(rollout.place for rollout in used)
+        assert [rollout.id for rollout in used] == sorted(rollout.id for rollout in used)
     assert replayed_digests(training.run_dir)[-1] == training.summary["state_digest"]
 
 

@@ -373,7 +373,7 @@ def test_the_address_may_come_from_the_environment(
 @pytest.fixture
 def refusing_learner(endpoint: str) -> Iterator[None]:
     """Answers every actor that it is not wanted, for good."""
-    reply = JoinReply(False, "this learner runs 'r', not 'q'", True, "r", 0, 0, "").encode()
+    reply = JoinReply.refused("r", "run", "this learner runs 'r', not 'q'", final=True).encode()
     with open_session(listen=[endpoint], max_message_size=1 << 20) as session:
         session.serve(JOIN, lambda request: request.reply(reply))
         yield

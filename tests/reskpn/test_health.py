@@ -30,7 +30,7 @@ def test_a_learner_that_answers_joins(endpoint: str, capsys: pytest.CaptureFixtu
 
     def answer(request: Request) -> None:
         asked.append(Join.decode(request.payload))
-        request.reply(JoinReply(False, "this learner runs 'r'", True, "r", 0, 0, "").encode())
+        request.reply(JoinReply.refused("r", "run", "this learner runs 'r'", final=True).encode())
 
     with open_session(listen=[endpoint], max_message_size=1 << 20) as session:
         session.serve(JOIN, answer)

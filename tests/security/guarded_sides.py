@@ -20,8 +20,9 @@ from common.log.writer import LogWriter
 from common.wire.credentials import NOBODY, Credentials
 from common.wire.keys import JOIN, STATUS, Keys
 from common.wire.listener import make_listener_monitor
-from common.wire.messages import JoinReply, PushReply, Rollout
+from common.wire.messages import JoinReply, PushReply
 from common.wire.report import RunReport
+from common.wire.rollout import Rollout
 from common.wire.session import open_session
 from services.learner.endpoints.hub import Hub
 from services.learner.endpoints.listening import open_listener
@@ -61,7 +62,7 @@ class GuardedLearner:
         # Nothing is answered any more when the log is closed.
         self._stack.callback(self.session.close)
         self.hub = Hub(RUN, settings(transport=transport), self.session, log, lambda *event: self.events.put(event))
-        door.watch(self.session, self.hub.turned_off)
+        door.watch(self.session, self.hub.connection_refused)
         self.hub.publish(snapshot(0))
         self.hub.open()
         return self

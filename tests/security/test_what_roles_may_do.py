@@ -176,7 +176,7 @@ def test_another_actors_slot(run: Run) -> None:
     run.attacker.session.declare_alive(KEYS.alive("actor", "guess"))
     shown = {actor.slot: actor.incarnation for actor in run.attacker.report().actors}
     assert shown == {0: "worker", 1: "01234567"}
-    assert run.attacker.push(rollout(1, shown[1])).reason.startswith("incarnation: ")
+    assert run.attacker.push(rollout(1, shown[1])).slug == "incarnation"
     run.attacker.session.publisher(KEYS.heartbeat(1)).put(heartbeat(1, shown[1], "collecting").encode())
     run.attacker.session.publisher(KEYS.heartbeat(0)).put(heartbeat(0, "guess", "collecting").encode())
     until(lambda: run.attacker.report().refusals == {"rollout": {"incarnation": 1}, "heartbeat": {"incarnation": 2}})

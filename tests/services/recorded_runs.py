@@ -13,7 +13,8 @@ from samples import RUN, rollout, settings
 from common.config.settings import RunSettings
 from common.log.writer import LogWriter
 from common.runtime import hardware, software_versions, source_commit
-from common.wire.messages import Rollout, Snapshot, digest_arrays
+from common.wire.messages import Snapshot, digest_arrays
+from common.wire.rollout import Rollout
 from services.learner.training.trainer import Trainer
 
 UPDATES = 4

@@ -10,8 +10,9 @@ from mirrors import no_mirror
 
 from common.config.settings import RunSettings
 from common.runs.recorded_updates import RecordedUpdate
-from common.wire.messages import Evaluation, Heartbeat, Join, Rollout, Snapshot, digest_arrays
+from common.wire.messages import Evaluation, Heartbeat, Join, Snapshot, digest_arrays
 from common.wire.report import Progress
+from common.wire.rollout import Rollout
 
 RUN = "run-1"
 

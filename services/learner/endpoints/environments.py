@@ -1,4 +1,4 @@
-"""Environments on their way: those that actors hand in for a checkpoint, and those that a resumed slot goes on from."""
+"""Environment states: those that actors hand in for a checkpoint, and those that a resumed slot goes on from."""
 
 from __future__ import annotations
 
@@ -8,19 +8,17 @@ from collections.abc import Callable, Collection
 from common.config.settings import RunSettings
 from common.errors import CodecError, LogWriteError
 from common.log.writer import LogWriter
+from common.printable import quoted, shortened
 from common.wire.keys import Keys
-from common.wire.messages import Environment, PushReply
+from common.wire.messages import ACCEPTED, Environment, PushReply
 from common.wire.session import Request
+from services.learner.endpoints.replies import LOG_FAILED, QUEUE_FULL
 from services.learner.scheduling.fleet import Fleet
-from services.learner.scheduling.slots import ACCEPTED
 from services.learner.training.checkpoints import KeptEnvironments
-
-LOG_FAILED = PushReply("busy", "the log cannot be written any more: the run stops")
-"""To whom pushes while that is happening; the learner's loop is what reports it."""
 
 
 class EnvironmentHandler:
-    """Answers on `environment/<slot>`: a state that comes is logged and kept; who asks is given the slot's.
+    """Serves `environment/<slot>`: logs and keeps a state that is pushed, and answers a request with the slot's.
 
     Args:
         changed: the condition that guards `fleet`; nothing here waits under it.
@@ -47,15 +45,15 @@ class EnvironmentHandler:
         self._logged = set(logged)
         self._slots = {keys.environment(slot): slot for slot in range(settings.actors)}
         self._states: dict[int, bytes] = {}
-        self._under_way: set[int] = set()
+        self._pending: set[int] = set()
 
     def forget(self) -> None:
-        """A version begins: what came for the last one is of no more use. To be called under the condition."""
+        """Drop the states of the version before. To be called under the condition."""
         self._states = {}
-        self._under_way = set()
+        self._pending = set()
 
     def kept(self) -> KeptEnvironments | None:
-        """What was handed in for the version that is collected; None where nothing was asked for."""
+        """The states handed in for the version that is collected; None where none were asked for."""
         with self._changed:
             if not self._fleet.hand_in:
                 return None
@@ -69,7 +67,7 @@ class EnvironmentHandler:
             request.reply(reply.encode())
 
     def _state_of(self, key: str) -> bytes:
-        # Nothing, for a slot that starts anew: its actor takes that for a lost slot, and joins again.
+        # Empty for a slot that starts anew: its actor treats the slot as lost, and joins again.
         with self._changed:
             slot = self._slots.get(key)
             return b"" if slot is None else self._fleet.starts_from(slot) or b""
@@ -81,11 +79,11 @@ class EnvironmentHandler:
             if self._slots.get(request.key) != given.slot:
                 raise CodecError("bad_key", f"environments of slot {given.slot} were pushed on {request.key}")
             if self._log.pending_bytes + len(request.payload) > self._queue_bytes:
-                return PushReply("busy", "the learner's queue is full")
+                return QUEUE_FULL
             return self._admit_or_log(given, request)
         except CodecError as error:
             self._on_refused(error)
-            return PushReply("refused", f"{error.reason}: {error}")
+            return PushReply.of(error)
 
     def _admit_or_log(self, given: Environment, request: Request) -> PushReply | None:
         with self._changed:
@@ -94,7 +92,7 @@ class EnvironmentHandler:
                 self._states[given.slot] = request.payload
                 return ACCEPTED
             if answer is None:
-                self._under_way.add(given.slot)
+                self._pending.add(given.slot)
         if answer is None:
             try:
                 self._log.write("/environment", request.payload, on_durable=lambda: self._keep(given, request))
@@ -106,13 +104,15 @@ class EnvironmentHandler:
         """None where the state is to be logged and kept. CodecError where it is not wanted."""
         fleet, member = self._fleet, self._fleet.holder(given.slot, given.incarnation)
         if member is None or given.run != self._run:
-            raise CodecError("incarnation", f"slot {given.slot} is not held by {given.incarnation!r}; join again")
+            raise CodecError(
+                "incarnation", f"slot {given.slot} is not held by {quoted(shortened(given.incarnation))}; join again"
+            )
         if given.version != fleet.version or not fleet.hand_in:
             raise CodecError("stale", f"environments of version {given.version} are not wanted now")
         if given.slot in self._states:
             return ACCEPTED
-        if given.slot in self._under_way:
-            return PushReply("busy", "these environments are being written to the log")
+        if given.slot in self._pending:
+            return PushReply.busy("being_logged", "these environments are being written to the log")
         if (given.generation, given.seq) != (member.generation, member.next_seq):
             raise CodecError("gap", f"environments at rollout {given.seq} came where {member.next_seq} is next")
         return None
@@ -122,5 +122,5 @@ class EnvironmentHandler:
         with self._changed:
             if given.version == self._fleet.version:
                 self._states[given.slot] = request.payload
-                self._under_way.discard(given.slot)
+                self._pending.discard(given.slot)
         request.reply(ACCEPTED.encode())

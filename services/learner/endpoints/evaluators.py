@@ -1,7 +1,7 @@
-"""The learner's side of its evaluators: they are given settings and policies, and bring figures for the log.
+"""Evaluators: processes that are given the settings and policies, and push figures for the log.
 
-Nothing that they do has a part in training. They hold no slot, nobody waits for them, and what they bring goes to
-the log and to the curves alone.
+They take no part in training: they hold no slot, are never waited for, and their figures go to the log and to the
+curves alone.
 """
 
 from __future__ import annotations
@@ -15,18 +15,19 @@ from typing import Any
 from common.config.settings import RunSettings
 from common.errors import CodecError, RefusedError
 from common.log.writer import LogWriter
+from common.printable import quoted, shortened
 from common.wire.assessment import Assessment
 from common.wire.keys import Keys
-from common.wire.messages import PushReply
+from common.wire.messages import ACCEPTED, PushReply
 from common.wire.report import EvaluationReport
 from common.wire.session import Request
+from services.learner.endpoints.replies import QUEUE_FULL
 from services.learner.reporting.evaluations import eval_record, source_of, trajectory_record
 from services.learner.scheduling.fleet import Fleet
-from services.learner.scheduling.slots import ACCEPTED
 
 MAX_EVALUATORS = 16
 UNSEEN_S = 30.0
-"""An evaluator that joined and has shown no liveliness token by then makes room for another."""
+"""An evaluator that joined and declared no liveliness token within this time makes room for another."""
 
 
 @dataclass
@@ -34,7 +35,7 @@ class _Member:
     joined_s: float
     seen: bool = False
     versions: set[int] = field(default_factory=set)
-    """Logged, or on their way there."""
+    """Versions whose assessment is logged, or being logged."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class _Newest:
 
 
 class EvaluatorHandler:
-    """Answers on `assessment/<id>`. Each evaluator's figures for a version are logged once, however often they come.
+    """Serves `assessment/<id>`. Each evaluator's figures for a version are logged once, however often they are pushed.
 
     Args:
         changed: the condition that guards `fleet`; nothing here waits under it.
@@ -77,7 +78,7 @@ class EvaluatorHandler:
     # -- under the condition -------------------------------------------------------------------------------
 
     def join(self, incarnation: str) -> None:
-        """Take in an evaluator, under the condition as `seen` and `report`. RefusedError where there is no room."""
+        """Admit an evaluator. RefusedError where there is no room. Under the condition, as `seen` and `report`."""
         now_s = self._clock_s()
         if incarnation not in self._members and len(self._members) >= MAX_EVALUATORS:
             unseen = [name for name, at in self._members.items() if not at.seen and now_s - at.joined_s > UNSEEN_S]
@@ -88,7 +89,7 @@ class EvaluatorHandler:
         self._members.setdefault(incarnation, _Member(now_s))
 
     def seen(self, incarnation: str, alive: bool) -> None:
-        """Its liveliness token is there, or has gone; those of strangers do not count."""
+        """Record that an evaluator's liveliness token has appeared or gone; tokens of unknown ones are ignored."""
         if incarnation not in self._members:
             return
         if alive:
@@ -97,19 +98,19 @@ class EvaluatorHandler:
             del self._members[incarnation]
 
     def report(self) -> tuple[int, EvaluationReport | None]:
-        """How many evaluators are here, and the newest evaluation that any brought."""
+        """The number of evaluators present, and the newest evaluation of any."""
         here = sum(member.seen for member in self._members.values())
         if self._newest is None:
             return here, None
         record = self._newest.record
         behind = max(0, self._fleet.version - record["version"])
-        told = record | {"behind": behind, "ago_s": self._clock_s() - self._newest.at_s}
-        return here, EvaluationReport.model_validate(told)
+        aged = record | {"behind": behind, "ago_s": self._clock_s() - self._newest.at_s}
+        return here, EvaluationReport.model_validate(aged)
 
-    # -- for everybody -------------------------------------------------------------------------------------
+    # -- outside the condition -----------------------------------------------------------------------------
 
     def fresh(self) -> list[dict[str, Any]]:
-        """The `/eval` records that came since the last call."""
+        """The `/eval` records since the last call."""
         with self._changed:
             found = list(self._fresh)
             self._fresh.clear()
@@ -126,26 +127,31 @@ class EvaluatorHandler:
         try:
             given = Assessment.decode(request.payload)
             if request.key != self._keys.assessment(given.evaluator):
-                raise CodecError("bad_key", f"an assessment of {given.evaluator} was pushed on {request.key}")
+                raise CodecError(
+                    "bad_key",
+                    "an assessment was pushed on the key of another evaluator",
+                )
             if self._log.pending_bytes + len(request.payload) > self._queue_bytes:
-                return PushReply("busy", "the learner's queue is full")
+                return QUEUE_FULL
             with self._changed:
                 if not self._admit(given):
                     return ACCEPTED
                 record = self._record(given)
         except CodecError as error:
             self._on_refused(error)
-            return PushReply("refused", f"{error.reason}: {error}")
+            return PushReply.of(error)
         if len(given.qpos):
             self._log.write("/trajectory", trajectory_record(given))
         self._log.write("/eval", record, on_durable=lambda: self._logged(record, request))
         return None
 
     def _admit(self, given: Assessment) -> bool:
-        """Whether it is to be logged; False where that was done before. CodecError where it is not wanted."""
+        """Whether the assessment is to be logged: False for a duplicate. CodecError where it is not wanted."""
         member = self._members.get(given.evaluator)
         if member is None or given.run != self._run:
-            raise CodecError("incarnation", f"{given.evaluator!r} is no evaluator of this run; join again")
+            raise CodecError(
+                "incarnation", f"{quoted(shortened(given.evaluator))} is no evaluator of this run; join again"
+            )
         if self._fleet.finished:
             raise CodecError("stale", "the run is over")
         if given.version > self._fleet.version:

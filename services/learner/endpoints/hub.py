@@ -1,4 +1,4 @@
-"""The learner's side of every conversation: orders, snapshots, heartbeats, and a desk for each kind of question.
+"""The learner's side of every exchange: orders, snapshots, heartbeats, and a handler for each kind of request.
 
 Handlers run on Zenoh's threads. They check and enqueue, under one lock, and never wait.
 """
@@ -13,16 +13,11 @@ from functools import partial
 from common.config.settings import RunSettings
 from common.errors import CodecError
 from common.log.writer import LogWriter
-from common.printable import printable
+from common.printable import printable, shortened
 from common.wire.keys import JOIN, STATUS, Keys, parse_alive
-from common.wire.messages import (
-    Evaluation,
-    Heartbeat,
-    PushReply,
-    Rollout,
-    Snapshot,
-)
+from common.wire.messages import ACCEPTED, Evaluation, Heartbeat, PushReply, Snapshot
 from common.wire.report import Progress, RunReport
+from common.wire.rollout import Rollout
 from common.wire.session import Request, Session
 from services.learner.endpoints.admission import check_evaluation, check_heartbeat
 from services.learner.endpoints.environments import EnvironmentHandler
@@ -30,11 +25,12 @@ from services.learner.endpoints.evaluators import EvaluatorHandler
 from services.learner.endpoints.joins import JoinHandler
 from services.learner.endpoints.monitor import RunMonitor
 from services.learner.endpoints.rollouts import RolloutHandler
-from services.learner.scheduling.fleet import Fleet, gathering_of
-from services.learner.scheduling.slots import ACCEPTED, Start
+from services.learner.scheduling.fleet import Fleet
+from services.learner.scheduling.modes import buffer_factory
+from services.learner.scheduling.slots import Start
 
 SILENT_S = 30.0
-"""An actor that sends no heartbeat for so long has lost its slot, whatever its connection looks like."""
+"""An actor without a heartbeat for so long loses its slot, even while it is connected."""
 
 
 class Hub:
@@ -51,8 +47,8 @@ class Hub:
         starts: Sequence[Start] = (),
         logged_environments: Collection[tuple[int, int, int]] = (),
     ) -> None:
-        """`on_event(level, name, text)` is told what a person may want to know; it must not block. A resumed run's
-        slots go on at `starts`; its log has the `logged_environments` (version, slot, generation).
+        """`on_event(level, name, text)` reports events for a person; it must not block. A resumed run's slots go on at
+        `starts`; its log has the `logged_environments` (version, slot, generation).
         """
         self._run = run
         self._settings = settings
@@ -61,7 +57,7 @@ class Hub:
         self._keys = Keys(run)
         self._changed = threading.Condition()
         # Under the condition, from here
-        self._fleet = Fleet(run, settings.actors, starts, gathering_of(settings))
+        self._fleet = Fleet(run, settings.actors, starts, buffer_factory(settings))
         self._snapshot = b""
         self._digest = ""
         self._evaluation: Evaluation | None = None
@@ -142,7 +138,7 @@ class Hub:
             return self._fleet.divergence
 
     def start_over(self, starts: Sequence[Start], settled: Collection[Rollout], *, collect: bool) -> None:
-        """As `Fleet.start_over`: the actors find out by the orders, which do not name them, and join again."""
+        """As `Fleet.start_over`: the orders no longer have the actors' slots, so the actors join again."""
         with self._changed:
             self._fleet.start_over(starts, settled, collect=collect)
         self.announce()
@@ -159,16 +155,16 @@ class Hub:
             return self._evaluation
 
     def finish(self) -> None:
-        """Tell all actors that the run is over."""
+        """Order all actors to end: the run is over."""
         with self._changed:
             self._fleet.finish()
         self.announce()
 
     def announce(self) -> None:
-        """Say what is wanted now. Said again and again by the loop, since a put may be lost."""
+        """Publish the orders of this moment. The loop does so repeatedly, since a put may be lost."""
         with self._changed:
             orders = self._fleet.orders(digest=self._digest, size=len(self._snapshot), t_ns=time.time_ns())
-            # Under the condition, so that of two threads the one with the newer orders speaks last.
+            # Under the condition, so that of two threads the one with the newer orders publishes last.
             self._orders.put(orders.encode())
 
     def drop_silent(self) -> None:
@@ -176,18 +172,18 @@ class Hub:
         with self._changed:
             silent = self._fleet.silent(time.monotonic(), SILENT_S)
         for incarnation in silent:
-            self._lose(incarnation, f"sent no heartbeat for {SILENT_S:.0f} s")
+            self._remove(incarnation, f"sent no heartbeat for {SILENT_S:.0f} s")
 
-    def excuse_absent(self) -> None:
-        """Leave the work of slots that nobody has held to others, once the time that they are waited for is over."""
+    def release_reserved(self) -> None:
+        """Give the work of slots that no actor has held to others, once the time to wait for them is over."""
         wait_s = self._settings.slot_wait_s
         if wait_s is None or time.monotonic() - self._opened_s < wait_s:
             return
         with self._changed:
-            excused = self._fleet.excuse()
-        if excused:
-            slots = ", ".join(map(str, excused))
-            self._on_event("info", "slots_excused", f"no actor after {wait_s:g} s in slot {slots}: others do its work")
+            released = self._fleet.release_reserved()
+        if released:
+            slots = ", ".join(map(str, released))
+            self._on_event("info", "slots_released", f"no actor after {wait_s:g} s in slot {slots}: others do its work")
             self.announce()
 
     def publish_metrics(self, data: bytes) -> None:
@@ -200,27 +196,27 @@ class Hub:
         self._status.put(progress.encode())
 
     def report(self) -> RunReport:
-        """The run and all its actors at this moment."""
+        """The state of the run and of all its actors at this moment."""
         with self._changed:
             now_s = time.monotonic()
             report = self._monitor.report(self._fleet, self._fleet.waiting_for(now_s), now_s, time.time_ns())
             evaluators, evaluation = self.evaluators.report()
             return report.model_copy(update={"evaluators": evaluators, "evaluation": evaluation})
 
-    def turned_off(self, reason: str, text: str) -> None:
-        """Somebody was refused at the door, or may do nothing here."""
+    def connection_refused(self, reason: str, text: str) -> None:
+        """Count a client that was refused at the listener, or has no rights."""
         with self._changed:
-            first = self._monitor.turned_off(reason, text, time.monotonic())
+            first = self._monitor.connection_refused(reason, text, time.monotonic())
         if first:
             self._on_event("warning", "connection_refused", f"{text}; `reskpn status` counts how often")
 
     def waiting_for(self) -> str:
-        """Which slots' rollouts are missing, and why; empty where none is."""
+        """As `Fleet.waiting_for`."""
         with self._changed:
             return self._fleet.waiting_for(time.monotonic())
 
     def engines(self) -> set[str]:
-        """Physics engines of the actors that are here."""
+        """The physics engines of the present actors."""
         with self._changed:
             return {member.physics for _, member in self._fleet.members()}
 
@@ -233,7 +229,7 @@ class Hub:
         return self._joins.standing_by()
 
     def refusals(self) -> dict[str, int]:
-        """Messages that were not used, by reason."""
+        """The number of messages that were not used, by reason."""
         with self._changed:
             return dict(self._monitor.refusals())
 
@@ -246,19 +242,19 @@ class Hub:
             self._refused("alive", error)
             return
         if role == "actor" and not alive:
-            self._lose(incarnation, "is gone")
+            self._remove(incarnation, "is gone")
         elif role == "evaluator":
             with self._changed:
                 self.evaluators.seen(incarnation, alive)
 
-    def _lose(self, incarnation: str, why: str) -> None:
+    def _remove(self, incarnation: str, why: str) -> None:
         with self._changed:
-            slot, over = self._fleet.lose(incarnation), self._fleet.finished
+            slot, over = self._fleet.remove(incarnation), self._fleet.finished
             if slot is not None:
                 self._monitor.left(slot.number, time.monotonic())
             self._changed.notify_all()
         if slot is not None and not over:
-            self._on_event("warning", "actor_lost", f"slot {slot.number}: {printable(incarnation)} {why}")
+            self._on_event("warning", "actor_lost", f"slot {slot.number}: {printable(shortened(incarnation))} {why}")
             self.announce()
 
     def _on_heartbeat(self, key: str, data: bytes) -> None:
@@ -266,7 +262,7 @@ class Hub:
             beat = Heartbeat.decode(data)
             with self._changed:
                 check_heartbeat(self._fleet, self._keys, key, beat)
-                changed = self._fleet.heard(beat, time.monotonic())
+                changed = self._fleet.record_heartbeat(beat, time.monotonic())
         except CodecError as error:
             self._refused("heartbeat", error)
             return
@@ -283,7 +279,7 @@ class Hub:
                     self._changed.notify_all()
         except CodecError as error:
             self._refused("evaluation", error)
-            request.reply(PushReply("refused", f"{error.reason}: {error}").encode())
+            request.reply(PushReply.of(error).encode())
             return
         request.reply(ACCEPTED.encode())
 

@@ -1,4 +1,4 @@
-"""Who asks to work for the learner: actors get a slot, evaluators a place, others the reason why not."""
+"""Requests to join: actors are given a slot, evaluators are admitted, others get the reason why not."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from common.config.settings import RunSettings
 from common.errors import CodecError, RefusedError
-from common.printable import printable
+from common.printable import printable, quoted, shortened
 from common.wire.messages import FINISHED, Join, JoinReply
 from common.wire.session import Request
 from services.learner.endpoints.admission import check_join
@@ -17,24 +17,24 @@ from services.learner.endpoints.monitor import RunMonitor
 from services.learner.scheduling.fleet import Fleet
 
 ASK_AGAIN_S = 1.0
-"""An actor that was turned away has asked again by then."""
+"""An actor whose request was refused has repeated it by then."""
 
 
 def nothing_left(run: str) -> str:
-    """Why nobody is taken any more."""
-    return f"{FINISHED}: the run is over, nothing is left to do for run {run!r}"
+    """The text of a refusal after the end of the run."""
+    return f"the run is over, nothing is left to do for run {run!r}"
 
 
 def another_run(run: str, wanted: str) -> str:
-    """Why somebody who wants to work for the run `wanted` is not taken."""
-    return f"this learner runs {run!r}, not {wanted!r}"
+    """The text of a refusal of a request to work for the run `wanted`."""
+    return f"this learner runs {run!r}, not {quoted(wanted)}"
 
 
 class JoinHandler:
-    """Answers on `join`.
+    """Serves `join`.
 
     Args:
-        changed: the condition that guards `fleet`, `census` and `evaluators`; nothing here waits under it.
+        changed: the condition that guards `fleet`, `monitor` and `evaluators`; nothing here waits under it.
         on_event: as the hub's.
     """
 
@@ -43,7 +43,7 @@ class JoinHandler:
         run: str,
         settings: RunSettings,
         fleet: Fleet,
-        census: RunMonitor,
+        monitor: RunMonitor,
         evaluators: EvaluatorHandler,
         changed: threading.Condition,
         on_refused: Callable[[CodecError], None],
@@ -52,7 +52,7 @@ class JoinHandler:
         self._run = run
         self._settings = settings
         self._fleet = fleet
-        self._monitor = census
+        self._monitor = monitor
         self._evaluators = evaluators
         self._changed = changed
         self._on_refused = on_refused
@@ -60,7 +60,7 @@ class JoinHandler:
         self._refused_s = -ASK_AGAIN_S
 
     def standing_by(self) -> bool:
-        """Whether actors wait for a slot: they ask again and again, and have yet to hear that the run is over."""
+        """Whether actors without a slot repeat their requests: they have yet to learn that the run is over."""
         with self._changed:
             return time.monotonic() - self._refused_s < ASK_AGAIN_S
 
@@ -88,7 +88,7 @@ class JoinHandler:
         host = printable(join.hardware.get("host", "?"), 64)
         with self._changed:
             if self._fleet.finished:
-                return self._no("finished", nothing_left(self._run), final=True)
+                return self._no(FINISHED, nothing_left(self._run), final=True)
             slot = self._fleet.join(join.incarnation, physics, time.monotonic())
             generation, restore = slot.given - 1, slot.start is not None and slot.start.environment is not None
             self._monitor.joined(slot.number, join.incarnation, host, time.monotonic())
@@ -96,22 +96,22 @@ class JoinHandler:
             "info",
             "actor_joined",
             f"slot {slot.number} (generation {generation}): {physics} on {host}, "
-            f"incarnation {printable(join.incarnation)}",
+            f"incarnation {printable(shortened(join.incarnation))}",
         )
         settings = self._settings.model_dump_json()
-        return JoinReply(True, "", False, self._run, slot.number, generation, settings, restore)
+        return JoinReply.granted(self._run, slot.number, generation, settings, restore=restore)
 
     def _join_evaluator(self, join: Join) -> JoinReply:
         with self._changed:
             if self._fleet.finished:
-                return self._no("finished", f"{FINISHED}: nothing is left to evaluate of {self._run!r}", final=True)
+                return self._no(FINISHED, f"nothing is left to evaluate of {self._run!r}", final=True)
             try:
                 self._evaluators.join(join.incarnation)
             except RefusedError as error:
                 return self._no("no_place", str(error), final=False)
-        return JoinReply(True, "", False, self._run, 0, 0, self._settings.model_dump_json())
+        return JoinReply.granted(self._run, 0, 0, self._settings.model_dump_json())
 
-    def _no(self, slug: str, reason: str, *, final: bool) -> JoinReply:
+    def _no(self, slug: str, text: str, *, final: bool) -> JoinReply:
         with self._changed:
             self._monitor.join_refused(slug)
-        return JoinReply(False, reason, final, self._run, 0, 0, "")
+        return JoinReply.refused(self._run, slug, text, final=final)

@@ -1,4 +1,4 @@
-"""The learner's session, at which the others meet it."""
+"""The session that a learner is reached by."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ROUTER_S = 60.0
 
 
 def open_listener(transport: TransportSettings) -> Session:
-    """The learner's session. Who has a name in its settings may do what his role may; without credentials, everyone.
+    """Open the learner's session. A name in its settings may do what its role may; without credentials, everyone may.
 
     Raises `SessionError` and `SettingsError` as `open_session`.
     """
@@ -33,9 +33,9 @@ def open_listener(transport: TransportSettings) -> Session:
 
 
 def _open_at_router(transport: TransportSettings) -> Session:
-    """A session with a router, which knows who may do what.
+    """Open a session with a router, which has the access control.
 
-    Raises SettingsError where the first user, as whom it connects, is not the learner: nobody would get through to it.
+    Raises SettingsError where the first user, as which it connects, is not the learner: nothing would reach it.
     """
     if transport.users is not None and (user := next(iter(read_users(transport.users)))) != LEARNER:
         raise SettingsError(

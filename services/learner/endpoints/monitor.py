@@ -1,7 +1,7 @@
-"""What the learner can tell about its actors and their messages: who is there, and what became of what they sent.
+"""The record that `reskpn status` shows: the actors that are here, and the answers that messages got.
 
-Nothing here knows of threads or clocks: the hub holds its lock around every call and says what time it is. Nothing
-grows with the number of messages: reasons and kinds are words of this program, slots are those of the run.
+There are no threads or clocks here: the hub holds its lock around every call and passes the time. Nothing grows with
+the number of messages: reasons and kinds are words of this program, slots are those of the run.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ KEPT_VERSIONS = 256
 
 
 @dataclass
-class Place:
-    """One slot: who is or was in it, and what became of the rollouts that were pushed for it since then."""
+class SlotRecord:
+    """The present or last actor of one slot, and the answers to the rollouts that were pushed for it since then."""
 
     since_s: float
     incarnation: str | None = None
@@ -38,13 +38,13 @@ class _Refusal:
 
 
 class RunMonitor:
-    """Kept by the hub beside the fleet, which decides; this remembers."""
+    """Kept by the hub beside the fleet, which decides; the monitor only records."""
 
     def __init__(self, run: str, settings: RunSettings, now_s: float) -> None:
         self._run = run
         self._settings = settings
         self._began_s = now_s
-        self._places = [Place(now_s) for _ in range(settings.actors)]
+        self._records = [SlotRecord(now_s) for _ in range(settings.actors)]
         self._published: deque[tuple[int, float]] = deque(maxlen=KEPT_VERSIONS)
         self._progress: tuple[Progress, float] | None = None
         self._answers: Counter[str] = Counter()
@@ -52,15 +52,15 @@ class RunMonitor:
         self._refused_joins: Counter[str] = Counter()
         self._last: _Refusal | None = None
 
-    # -- what happens --------------------------------------------------------------------------------------
+    # -- events --------------------------------------------------------------------------------------------
 
     def joined(self, slot: int, incarnation: str, host: str, now_s: float) -> None:
-        """An incarnation is in the slot; the counts of a new one begin."""
-        if self._places[slot].incarnation != incarnation:
-            self._places[slot] = Place(now_s, incarnation, printable(host, 64))
+        """Record that an incarnation holds the slot; the counts of a new one begin at zero."""
+        if self._records[slot].incarnation != incarnation:
+            self._records[slot] = SlotRecord(now_s, incarnation, printable(host, 64))
 
     def left(self, slot: int, now_s: float) -> None:
-        self._places[slot] = Place(now_s)
+        self._records[slot] = SlotRecord(now_s)
 
     def join_refused(self, reason: str) -> None:
         """Count a request to join that got no slot."""
@@ -74,41 +74,40 @@ class RunMonitor:
         self._progress = (progress, now_s)
 
     def answered(self, key: str, reply: PushReply, now_s: float) -> None:
-        """A rollout pushed on `key` got this answer without being used: refused, busy, or accepted as a repeat."""
+        """Count a rollout pushed on `key` that was not used: refused, busy, or a duplicate, which is accepted."""
         if reply.status == "refused":
-            reason, _, text = reply.reason.partition(": ")
-            self.refused("rollout", reason, text, now_s)
+            self.refused("rollout", reply.slug, reply.text, now_s)
         self._count(key.rpartition("/")[2], "repeated" if reply.status == "accepted" else reply.status)
 
     def accepted(self, slot: int) -> None:
-        """A rollout is in the log and counts."""
+        """Count a rollout that is in the log and will be used."""
         self._count(str(slot), "accepted")
 
     def refused(self, kind: str, reason: str, text: str, now_s: float) -> None:
-        """A message was not used; `kind` and `reason` are words of this program, never the sender's."""
+        """Count a message that was not used; `kind` and `reason` are words of this program, never the sender's."""
         self._refused.setdefault(kind, Counter())[reason] += 1
         self._last = _Refusal(kind, reason, printable(text, 300), now_s)
 
-    def turned_off(self, reason: str, text: str, now_s: float) -> bool:
-        """A connection was refused; whether for the first time for this reason."""
+    def connection_refused(self, reason: str, text: str, now_s: float) -> bool:
+        """Count a refused connection; returns whether it is the first with this reason."""
         self.refused("connection", reason, text, now_s)
         return self._refused["connection"][reason] == 1
 
     def _count(self, slot: str, what: str) -> None:
         self._answers[what] += 1
-        if slot.isdecimal() and len(slot) < 10 and int(slot) < len(self._places):
-            self._places[int(slot)].answers[what] += 1
+        if slot.isdecimal() and len(slot) < 10 and int(slot) < len(self._records):
+            self._records[int(slot)].answers[what] += 1
 
-    # -- what can be asked ---------------------------------------------------------------------------------
+    # -- reports -------------------------------------------------------------------------------------------
 
     def refusals(self) -> Counter[str]:
-        """Messages that were not used, by reason."""
+        """The number of messages that were not used, by reason."""
         return sum(self._refused.values(), Counter())
 
     def report(self, fleet: Fleet, waiting_for: str, now_s: float, t_ns: int) -> RunReport:
-        """The run at this moment."""
+        """The state of the run at this moment."""
         held = fleet.members()
-        free = sorted(set(range(len(self._places))) - {slot for slot, _ in held})
+        free = sorted(set(range(len(self._records))) - {slot for slot, _ in held})
         return RunReport(
             run=self._run,
             task=self._settings.task,
@@ -118,8 +117,8 @@ class RunMonitor:
             up_s=now_s - self._began_s,
             progress=self._aged_progress(now_s),
             waiting_for=printable(waiting_for, LONGEST),
-            rollouts_there=fleet.taken,
-            slots=len(self._places),
+            rollouts_there=fleet.available,
+            slots=len(self._records),
             actors=[self._actor(slot, member, now_s) for slot, member in held],
             vacancies=[self._vacancy(slot, fleet, now_s) for slot in free],
             totals=Totals(**self._answers, joined=fleet.counts.joined, lost=fleet.counts.lost),
@@ -137,12 +136,12 @@ class RunMonitor:
     def _actor(self, slot: int, member: Member, now_s: float) -> ActorReport:
         published_s = dict(self._published).get(member.version)
         heard_s = now_s - member.heard_s
-        counts = {what: self._places[slot].answers[what] for what in ("accepted", "refused", "busy", "repeated")}
+        counts = {what: self._records[slot].answers[what] for what in ("accepted", "refused", "busy", "repeated")}
         return ActorReport(
             slot=slot,
             generation=member.generation,
             incarnation=shortened(member.incarnation),
-            host=self._places[slot].host,
+            host=self._records[slot].host,
             state=member.state,
             state_s=member.state_s + heard_s,
             physics=member.physics,
@@ -155,7 +154,7 @@ class RunMonitor:
         )
 
     def _vacancy(self, slot: int, fleet: Fleet, now_s: float) -> VacancyReport:
-        return VacancyReport(slot=slot, lost=fleet.was_held(slot), for_s=now_s - self._places[slot].since_s)
+        return VacancyReport(slot=slot, lost=fleet.was_held(slot), for_s=now_s - self._records[slot].since_s)
 
     def _last_refusal(self, now_s: float) -> RefusalReport | None:
         last = self._last

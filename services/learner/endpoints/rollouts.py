@@ -1,7 +1,7 @@
-"""Rollouts on their way into the log.
+"""Pushed rollouts: each is checked, logged, and then counted.
 
-One is answered `accepted` by the log's thread once it is in the log, `busy` where the queue is full, `refused` where it
-is no use.
+The answer is `accepted` once the rollout is in the log, `busy` where the queue is full, `refused` where it is of no
+use.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from common.errors import CodecError, LogWriteError
 from common.log.writer import LogWriter
 from common.runs.rollout_shape import rollout_shape
 from common.wire.keys import Keys
-from common.wire.messages import PushReply, Rollout
+from common.wire.messages import ACCEPTED, PushReply
+from common.wire.rollout import Rollout
 from common.wire.session import Request
-from services.learner.endpoints.environments import LOG_FAILED
 from services.learner.endpoints.monitor import RunMonitor
+from services.learner.endpoints.replies import LOG_FAILED, QUEUE_FULL
 from services.learner.scheduling.fleet import Fleet
-from services.learner.scheduling.slots import ACCEPTED
 
 
 class RolloutHandler:
-    """Answers on `rollout/<slot>`.
+    """Serves `rollout/<slot>`.
 
     Args:
-        changed: the condition that guards `fleet` and `census`, told when the fleet has something new; nothing here
-            waits under it.
+        changed: the condition that guards `fleet` and `monitor`, notified when the fleet has something new; nothing
+            here waits under it.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class RolloutHandler:
         settings: RunSettings,
         log: LogWriter,
         fleet: Fleet,
-        census: RunMonitor,
+        monitor: RunMonitor,
         changed: threading.Condition,
     ) -> None:
         self._keys = Keys(run)
@@ -44,7 +44,7 @@ class RolloutHandler:
         self._queue_bytes = settings.transport.queue_bytes
         self._log = log
         self._fleet = fleet
-        self._monitor = census
+        self._monitor = monitor
         self._changed = changed
 
     def on_request(self, request: Request) -> None:
@@ -60,15 +60,16 @@ class RolloutHandler:
         try:
             rollout = Rollout.decode(request.payload)
             rollout.check(self._shape)
+            rollout.check_magnitudes()
             if request.key != self._keys.rollout(rollout.slot):
                 raise CodecError("bad_key", f"a rollout of slot {rollout.slot} was pushed on {request.key}")
         except CodecError as error:
-            return PushReply("refused", f"{error.reason}: {error}")
+            return PushReply.of(error)
         if self._log.pending_bytes + len(request.payload) > self._queue_bytes:
-            return PushReply("busy", "the learner's queue is full")
+            return QUEUE_FULL
         with self._changed:
             answer = self._fleet.admit(rollout)
-            self._changed.notify_all()  # one that the log has already counts at once
+            self._changed.notify_all()  # a rollout that the log has already counts at once
         if answer is None:
             try:
                 self._log.write("/rollout", request.payload, on_durable=lambda: self._logged(rollout, request))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 
 RECENT_EPISODES = 200
 """Episodes that the shown return is a mean of, at least, once so many have ended."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from services.learner.reporting.statistics import actor_seconds
 
 

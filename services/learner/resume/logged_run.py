@@ -15,9 +15,9 @@ from common.log.reader import LogReader
 from common.log.records import LogMessage
 from common.log.segments import find_segments
 from common.runs.recorded_updates import TOPICS, RecordedUpdate, read_updates
-from common.wire.messages import Environment, Rollout, Snapshot
+from common.wire.messages import Environment, Snapshot
+from common.wire.rollout import Rollout, RolloutId
 from services.learner.reporting.evaluations import is_of_the_run
-from services.learner.scheduling.slots import Place
 
 UNUSED_UPDATES = 2
 """Rollouts that no update has used yet lie after the last update but one; in async mode, but one more by staleness."""
@@ -28,7 +28,7 @@ class UpdateEntry:
     """One `/update` without its rollouts: digest of the state it led to, and the places of the rollouts it used."""
 
     digest: str
-    places: tuple[Place, ...]
+    places: tuple[RolloutId, ...]
 
 
 @dataclass
@@ -60,7 +60,7 @@ class LoggedRun:
         """Version of the last update, 0 where there is none."""
         return max(self.updates, default=0)
 
-    def places(self, after: int) -> list[tuple[Place, ...]]:
+    def places(self, after: int) -> list[tuple[RolloutId, ...]]:
         """Places of the rollouts of every update after that version.
 
         Raises:
@@ -115,7 +115,7 @@ def read_logged_run(run_dir: Path, settings: RunSettings) -> LoggedRun:
 
 def _add_update(found: LoggedRun, record: dict[str, Any]) -> int:
     version = int(record["version"])
-    places = tuple((used["slot"], used["generation"], used["seq"]) for used in record["rollouts"])
+    places = tuple(RolloutId(used["slot"], used["generation"], used["seq"]) for used in record["rollouts"])
     found.updates[version] = UpdateEntry(record["state_digest"], places)
     return version
 
@@ -131,7 +131,7 @@ def _unused(found: LoggedRun, rollouts: deque[bytes]) -> list[Rollout]:
     }
     decoded = [Rollout.decode(data) for data in rollouts]
     # The next version is published, and acted by, before the update to it is recorded.
-    return [made for made in decoded if made.policy_version >= oldest and made.place not in used]
+    return [made for made in decoded if made.policy_version >= oldest and made.id not in used]
 
 
 def _ahead(last: int, newest: dict[str, LogMessage]) -> set[tuple[str, int]]:

@@ -15,10 +15,11 @@ from common.log.lock import LogLock
 from common.log.reader import LogReader
 from common.log.repair import repair
 from common.log.segments import LOG_DIRECTORY, list_segments
+from common.wire.rollout import RolloutId
 from services.learner.resume.logged_run import LoggedRun, read_logged_run
 from services.learner.resume.restore_point import RestorePoint, choose_restore_point
 from services.learner.resume.tail import Tail, divergence
-from services.learner.scheduling.slots import Place, Start
+from services.learner.scheduling.slots import Start
 
 RESTORED = "parameters, optimiser, expansion and its momentum, normalisers, RNG key and counters"
 
@@ -107,7 +108,7 @@ def _read(run_dir: Path, settings: RunSettings) -> LoggedRun:
 
 
 def _log_only_reason(
-    settings: RunSettings, point: RestorePoint, logged: LoggedRun, updates: Sequence[tuple[Place, ...]]
+    settings: RunSettings, point: RestorePoint, logged: LoggedRun, updates: Sequence[tuple[RolloutId, ...]]
 ) -> str | None:
     """The reason why the tail's updates are made from its rollouts, without acting; None where actors act."""
     if settings.mode == "async":
@@ -115,7 +116,7 @@ def _log_only_reason(
     if logged.last >= settings.updates:
         return "no environments are needed any more" if updates else None
     unused = [
-        [rollout.place for rollout in logged.unused if rollout.policy_version == version]
+        [rollout.id for rollout in logged.unused if rollout.policy_version == version]
         for version in (logged.last, logged.last + 1)
     ]
     return divergence(point.starts, updates, unused, point.version) if updates or logged.unused else None
@@ -125,7 +126,7 @@ def _fresh_starts(slots: int, point: RestorePoint, logged: LoggedRun) -> list[St
     """New environments for every slot, of generations that the log does not have."""
     next_free = [start.generation + 1 for start in point.starts] or [0] * slots
     places = [place for entry in logged.updates.values() for place in entry.places]
-    for slot, generation, _ in [*places, *(rollout.place for rollout in logged.unused)]:
+    for slot, generation, _ in [*places, *(rollout.id for rollout in logged.unused)]:
         next_free[slot] = max(next_free[slot], generation + 1)
     return [Start(generation) for generation in next_free]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from services.learner.endpoints.hub import Hub
 from services.learner.reporting.statistics import TrainingReturn
 from services.learner.resume.plan import Resumption

@@ -13,7 +13,7 @@ from common.log.lock import LogLock
 from common.log.reader import LogReader
 from common.wire.keys import JOIN, Keys
 from common.wire.listener import make_listener_monitor, require_authentication
-from common.wire.messages import Join, JoinReply, Orders
+from common.wire.messages import FINISHED, Join, JoinReply, Orders
 from common.wire.session import Request
 from services.learner.endpoints.joins import another_run, nothing_left
 from services.learner.endpoints.listening import open_listener
@@ -74,6 +74,7 @@ def _answer(run: str, payload: bytes) -> JoinReply:
     try:
         join = Join.decode(payload)
     except CodecError as error:
-        return JoinReply(False, str(error), True, run, 0, 0, "")
-    reason = nothing_left(run) if join.run in ("", run) else another_run(run, join.run)
-    return JoinReply(False, reason, True, run, 0, 0, "")
+        return JoinReply.refused(run, "malformed", str(error), final=True)
+    if join.run not in ("", run):
+        return JoinReply.refused(run, "run", another_run(run, join.run), final=True)
+    return JoinReply.refused(run, FINISHED, nothing_left(run), final=True)

@@ -6,8 +6,8 @@ from collections.abc import Collection, Iterable, Sequence
 
 from common.errors import LogReadError
 from common.runs.recorded_updates import RecordedUpdate
-from common.wire.messages import Rollout
-from services.learner.scheduling.slots import Place, Start
+from common.wire.rollout import Rollout, RolloutId
+from services.learner.scheduling.slots import Start
 
 OF_UPDATES = ("/policy", "/episode")
 
@@ -64,7 +64,10 @@ class Tail:
 
 
 def divergence(
-    starts: Sequence[Start], updates: Sequence[Collection[Place]], unused: Sequence[Collection[Place]], version: int
+    starts: Sequence[Start],
+    updates: Sequence[Collection[RolloutId]],
+    unused: Sequence[Collection[RolloutId]],
+    version: int,
 ) -> str | None:
     """The reason why acting from `starts` cannot reproduce the rollouts of the log; None where it can.
 

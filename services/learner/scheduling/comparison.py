@@ -1,4 +1,4 @@
-"""What the actors of a resumed run make again, beside what its log holds of the same version."""
+"""Comparison of the rollouts that the actors of a resumed run make again with those of its log."""
 
 from __future__ import annotations
 
@@ -7,43 +7,42 @@ from dataclasses import fields
 
 import numpy as np
 
-from common.wire.messages import Rollout
-from services.learner.scheduling.slots import Place
+from common.wire.rollout import Rollout, RolloutId
 
 
 class Comparison:
-    """Of one version at a time. `divergence` says why what is made is not what is logged; None while it is the same."""
+    """Compares the rollouts of one version at a time; `divergence` is the first difference, None without any."""
 
     def __init__(self) -> None:
-        self._logged: dict[Place, Rollout] = {}
+        self._logged: dict[RolloutId, Rollout] = {}
         self.divergence: str | None = None
 
     def begin(self, logged: Collection[Rollout]) -> None:
-        """Compare with these from now on. Without any, nothing can depart: all that is made is new."""
-        self._logged = {rollout.place: rollout for rollout in logged}
+        """Compare with these from now on. Without any, nothing can diverge: all that is made is new."""
+        self._logged = {rollout.id: rollout for rollout in logged}
         if not logged:
             self.divergence = None
 
-    def logged(self, place: Place, made: Rollout) -> Rollout | None:
-        """The rollout of the log to take for one that was made again; None where the log has none."""
-        logged = self._logged.get(place)
-        if logged is not None and (what := difference(logged, made)):
-            self._depart(f"rollout {made.seq} of slot {made.slot}, version {made.policy_version}: {what}")
+    def logged(self, identity: RolloutId, made: Rollout) -> Rollout | None:
+        """The logged rollout to use in place of one that was made again; None where the log has none."""
+        logged = self._logged.get(identity)
+        if logged is not None and (what := first_divergence(logged, made)):
+            self._diverge(f"rollout {made.seq} of slot {made.slot}, version {made.policy_version}: {what}")
         return logged
 
-    def lost(self, slot: int) -> None:
-        """A slot has lost the actor that acted again: its successor begins with other environments."""
+    def actor_lost(self, slot: int) -> None:
+        """Note that a slot has lost its actor: its successor begins with other environments."""
         if self._logged:
-            self._depart(f"slot {slot} lost its actor before all was made again")
+            self._diverge(f"slot {slot} lost its actor before all was made again")
 
-    def _depart(self, what: str) -> None:
+    def _diverge(self, what: str) -> None:
         self.divergence = self.divergence or what
 
 
-def difference(logged: Rollout, made: Rollout) -> str | None:
-    """What differs first between two rollouts of one place, bit for bit; None where nothing does.
+def first_divergence(logged: Rollout, made: Rollout) -> str | None:
+    """The first difference between two rollouts of one id, bit for bit; None without any.
 
-    When they were sent, by whom and how long they took does not count.
+    The time of sending, the incarnation and the timing may differ.
     """
     if logged.policy_version != made.policy_version:
         return f"policy {logged.policy_version} acted in the log, policy {made.policy_version} now"

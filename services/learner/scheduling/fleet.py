@@ -1,32 +1,23 @@
-"""Who works for the learner, what is asked of them, and which of their rollouts count.
+"""The actors of a run, the work asked of them, and the rollouts that count.
 
-A slot is given to one incarnation (one life of an actor process) at a time. What an update is made of is the mode's
-business: `SyncBatch` or `AsyncQueue`.
+A slot is held by one incarnation (one life of an actor process) at a time. Which rollouts an update is made of depends
+on the mode: `SyncBatch` or `AsyncQueue`.
 
-Nothing here knows of threads, clocks or Zenoh: the service holds a lock around every call and says what time it is.
+There are no threads, clocks or sessions here: the service holds a lock around every call and passes the time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from functools import partial
 
-from common.config.settings import RunSettings
 from common.errors import RefusedError
-from common.wire.messages import Heartbeat, Orders, PushReply, Rollout
-from services.learner.scheduling.async_queue import AsyncQueue
-from services.learner.scheduling.slots import ACCEPTED, Counts, Member, Slot, Start
+from common.printable import quoted, shortened
+from common.wire.messages import ACCEPTED, Heartbeat, Orders, PushReply
+from common.wire.rollout import Rollout
+from services.learner.scheduling.buffer import RolloutBuffer
+from services.learner.scheduling.slots import Counts, Member, Slot, Start
 from services.learner.scheduling.sync_batch import SyncBatch
 from services.learner.scheduling.waiting import describe_missing
-
-Gathering = SyncBatch | AsyncQueue
-
-
-def gathering_of(settings: RunSettings) -> Callable[[Sequence[Slot]], Gathering]:
-    """Makes what collects rollouts in the run's mode."""
-    if settings.mode == "sync":
-        return SyncBatch
-    return partial(AsyncQueue, max_staleness=settings.staleness, updates=settings.updates)
 
 
 class Fleet:
@@ -37,13 +28,13 @@ class Fleet:
         run: str,
         slots: int,
         starts: Sequence[Start] = (),
-        gather: Callable[[Sequence[Slot]], Gathering] = SyncBatch,
+        make_buffer: Callable[[Sequence[Slot]], RolloutBuffer] = SyncBatch,
     ) -> None:
-        """`starts` by slot, where a run is resumed; `gather` makes the batch of the run's mode from the slots."""
+        """`starts` by slot, where a run is resumed."""
         self._run = run
         self._slots = [Slot(number) for number in range(slots)]
-        self._set_out(starts)
-        self._gathering = gather(self._slots)
+        self._set_starts(starts)
+        self._buffer = make_buffer(self._slots)
         self._version = 0
         self._hand_in = False
         self._gone: set[str] = set()
@@ -55,10 +46,10 @@ class Fleet:
     # -- joining and leaving -------------------------------------------------------------------------------
 
     def join(self, incarnation: str, physics: str, now_s: float) -> Slot:
-        """Give out the lowest free slot. RefusedError when none is free, or this incarnation has lost its slot."""
+        """Assign the lowest free slot. RefusedError where none is free, or this incarnation has lost its slot."""
         if incarnation in self._gone:
-            # Its rollouts would be taken for those of its first time in the slot.
-            raise RefusedError(f"{incarnation!r} was here before and has lost its slot; join under a new name")
+            # Its rollouts would be taken for duplicates of those from its first time in the slot.
+            raise RefusedError(f"{_shown(incarnation)} has lost its slot; join as another incarnation")
         for slot in self._slots:
             if slot.member is not None and slot.member.incarnation == incarnation:
                 return slot
@@ -68,42 +59,42 @@ class Fleet:
                 slot.member = Member(incarnation, start.generation, physics, heard_s=now_s, next_seq=start.seq)
                 slot.given = start.generation + 1
                 self.counts.joined += 1
-                self._share_out()
+                self._assign_work()
                 return slot
         raise RefusedError(
             f"all {len(self._slots)} slots are taken; this actor stands by and takes over when one is freed"
         )
 
-    def excuse(self) -> list[int]:
-        """Wait no longer for the slots that nobody has held yet: their work goes to those that are here.
+    def release_reserved(self) -> list[int]:
+        """End the wait for slots that no actor has held yet: their work goes to the actors that are here.
 
-        Returns the slots that were waited for until now.
+        Returns the slots that were reserved until now.
         """
-        if not self._gathering.waits:
+        if not self._buffer.reserves_slots:
             return []
-        excused = [slot for slot in self._slots if slot.awaited and slot.member is None]
-        for slot in excused:
-            slot.excused = True
-        if excused:
-            self._share_out()
-        return [slot.number for slot in excused]
+        released = [slot for slot in self._slots if slot.reserved and slot.member is None]
+        for slot in released:
+            slot.released = True
+        if released:
+            self._assign_work()
+        return [slot.number for slot in released]
 
-    def lose(self, incarnation: str) -> Slot | None:
+    def remove(self, incarnation: str) -> Slot | None:
         """Free the slot of an actor that is gone; None where it held none. Its accepted rollouts stay good."""
         for slot in self._slots:
             if slot.member is not None and slot.member.incarnation == incarnation:
                 slot.member = None
                 self._gone.add(incarnation)
                 self.counts.lost += 1
-                self._gathering.lost(slot)
+                self._buffer.actor_lost(slot)
                 if self._evaluator == slot.number:
                     self._evaluator = None
-                self._share_out()
+                self._assign_work()
                 return slot
         return None
 
-    def heard(self, beat: Heartbeat, now_s: float) -> bool:
-        """Take in a heartbeat; whether orders change by it. One of an incarnation without a slot is ignored."""
+    def record_heartbeat(self, beat: Heartbeat, now_s: float) -> bool:
+        """Record a heartbeat; returns whether orders change by it. One of an incarnation without a slot is ignored."""
         member = self.holder(beat.slot, beat.incarnation)
         if member is None:
             return False
@@ -112,7 +103,7 @@ class Fleet:
         member.version, member.env_steps, member.steps_per_s = beat.version, beat.env_steps, beat.steps_per_s
         if member.ready == was_ready:
             return False
-        self._share_out()
+        self._assign_work()
         return True
 
     def holder(self, slot: int, incarnation: str) -> Member | None:
@@ -125,7 +116,7 @@ class Fleet:
         return self.holder(slot, incarnation) is not None
 
     def silent(self, now_s: float, limit_s: float) -> list[str]:
-        """Incarnations not heard of for longer than the limit."""
+        """Incarnations without a heartbeat for longer than the limit."""
         return [
             slot.member.incarnation
             for slot in self._slots
@@ -156,53 +147,54 @@ class Fleet:
         """
         self._version = version
         self._hand_in = hand_in
-        overtaken = self._gathering.begin(version, collect=collect, logged=logged, settled=settled)
-        self._share_out()
+        overtaken = self._buffer.begin(version, collect=collect, logged=logged, settled=settled)
+        self._assign_work()
         return overtaken
 
     def admit(self, rollout: Rollout) -> PushReply | None:
-        """Whether a rollout may be logged and used: None if so, else the answer for its sender.
+        """None where a rollout is to be logged and used, else the answer for its sender.
 
-        A rollout that was admitted is under way until `accept` is called with it.
+        An admitted rollout is pending until `accept` is called with it.
         """
         member = self.holder(rollout.slot, rollout.incarnation)
         if rollout.run != self._run:
-            return self._refuse("run", f"this learner runs {self._run!r}, not {rollout.run!r}")
+            return self._refuse("run", f"this learner runs {self._run!r}, not {quoted(rollout.run)}")
         if member is None:
             return self._refuse(
-                "incarnation", f"slot {rollout.slot} is not held by {rollout.incarnation!r}; join again"
+                "incarnation", f"slot {rollout.slot} is not held by {_shown(rollout.incarnation)}; join again"
             )
         if rollout.generation != member.generation:
             return self._refuse(
-                "generation", f"{rollout.incarnation!r} has generation {member.generation}, not {rollout.generation}"
+                "generation",
+                f"{_shown(rollout.incarnation)} has generation {member.generation}, not {rollout.generation}",
             )
-        if rollout.key in self._gathering.under_way:
-            return PushReply("busy", "this rollout is being written to the log")
+        if rollout.key in self._buffer.pending:
+            return PushReply.busy("being_logged", "this rollout is being written to the log")
         if rollout.seq < member.next_seq:
             self.counts.repeated += 1
             return ACCEPTED
-        if (objection := self._gathering.objection(rollout)) is not None:
-            return self._refuse(*objection)
+        if (refusal := self._buffer.refusal(rollout)) is not None:
+            return self._refuse(*refusal)
         if rollout.seq > member.next_seq:
             return self._refuse("gap", f"rollout {rollout.seq} came where {member.next_seq} is next")
         member.next_seq = rollout.seq + 1
         self._slots[rollout.slot].start = None
-        return self._gathering.admit(rollout)
+        return self._buffer.admit(rollout)
 
     def accept(self, rollout: Rollout) -> None:
-        """The rollout is in the log: it counts."""
-        self._gathering.accept(rollout)
+        """Count an admitted rollout that is in the log now."""
+        self._buffer.accept(rollout)
 
     def take(self) -> list[Rollout] | None:
         """The rollouts of the next update in (slot, generation, seq) order, once they are there; else None."""
-        return self._gathering.take()
+        return self._buffer.take()
 
     # -- resuming ------------------------------------------------------------------------------------------
 
     @property
     def divergence(self) -> str | None:
-        """Why what is made again is not what the log holds; None while it is the same."""
-        return self._gathering.divergence
+        """The first difference between what is made again and what the log holds; None without any."""
+        return self._buffer.divergence
 
     def start_over(self, starts: Sequence[Start], settled: Collection[Rollout], *, collect: bool) -> None:
         """Free every slot, to go on at `starts`; the rest as `begin`. What was accepted stays good."""
@@ -210,9 +202,9 @@ class Fleet:
             if slot.member is not None:
                 self._gone.add(slot.member.incarnation)
                 slot.member = None
-        self._set_out(starts)
-        self._gathering.start_over(settled, collect=collect)
-        self._share_out()
+        self._set_starts(starts)
+        self._buffer.start_over(settled, collect=collect)
+        self._assign_work()
 
     def starts_from(self, slot: int) -> bytes | None:
         """The environments that a slot goes on from, as `Environment`; None for new ones."""
@@ -220,7 +212,7 @@ class Fleet:
         return None if start is None else start.environment
 
     def given(self) -> list[int]:
-        """How often each slot was given out."""
+        """How often each slot was assigned, by slot."""
         return [slot.given for slot in self._slots]
 
     # -- orders --------------------------------------------------------------------------------------------
@@ -228,16 +220,16 @@ class Fleet:
     def evaluate(self, episodes: int) -> None:
         """From now on ask for an evaluation instead of rollouts."""
         self._episodes = episodes
-        self._share_out()
+        self._assign_work()
 
     def finish(self) -> None:
-        """From now on tell everyone that the run is over."""
+        """From now on order that the run is over."""
         self._finished = True
 
     def orders(self, *, digest: str, size: int, t_ns: int) -> Orders:
-        """What is wanted now. `collect` counts from the version's start and names every slot that is held."""
+        """The orders of this moment. `collect` counts from the version's start and has every slot that is held."""
         collect = {
-            slot.number: self._gathering.wanted(slot.number)
+            slot.number: self._buffer.wanted(slot.number)
             for slot in self._slots
             if slot.member is not None and not self._finished
         }
@@ -245,25 +237,25 @@ class Fleet:
         return Orders(self._run, self._version, digest, size, collect, evaluator, self._finished, t_ns, self._hand_in)
 
     def waiting_for(self, now_s: float) -> str:
-        """What holds the run up, for a person: "waiting for 1 of 2 rollouts: slot 1 compiling 12 s"; else empty."""
-        missing, brought = self._gathering.missing, self._gathering.brought
+        """A sentence such as "waiting for 1 of 2 rollouts: slot 1 compiling 12 s"; empty where nothing is missing."""
+        missing, delivered = self._buffer.missing, self._buffer.delivered
         if not missing:
             return ""
-        written = {number for number, _, _ in self._gathering.under_way.values()} - brought
-        who = describe_missing(self._slots, brought, written, now_s)
+        written = {number for number, _, _ in self._buffer.pending.values()} - delivered
+        who = describe_missing(self._slots, delivered, written, now_s)
         return f"waiting for {missing} of {len(self._slots)} rollouts: {who}"
 
     def members(self) -> list[tuple[int, Member]]:
         return [(slot.number, slot.member) for slot in self._slots if slot.member is not None]
 
     def was_held(self, slot: int) -> bool:
-        """Whether the slot has ever been given out."""
+        """Whether the slot has ever been assigned."""
         return self._slots[slot].given > 0
 
     @property
-    def taken(self) -> int:
+    def available(self) -> int:
         """Rollouts for the next update that are in the log."""
-        return self._gathering.there
+        return self._buffer.available
 
     @property
     def episodes(self) -> int:
@@ -285,17 +277,21 @@ class Fleet:
 
     # -- inside --------------------------------------------------------------------------------------------
 
-    def _set_out(self, starts: Sequence[Start]) -> None:
+    def _set_starts(self, starts: Sequence[Start]) -> None:
         for slot, start in zip(self._slots, starts, strict=False):
             slot.given, slot.start = start.generation, start
 
-    def _refuse(self, reason: str, text: str) -> PushReply:
-        self.counts.refused[reason] += 1
-        return PushReply("refused", f"{reason}: {text}")
+    def _refuse(self, slug: str, text: str) -> PushReply:
+        self.counts.refused[slug] += 1
+        return PushReply.refused(slug, text)
 
-    def _share_out(self) -> None:
-        """Settle anew who does what: after every change of who is here."""
+    def _assign_work(self) -> None:
+        """Divide the work anew: after every change of who is here."""
         if self._episodes and self._evaluator is None:
             ready = [slot.number for slot in self._slots if slot.member is not None and slot.member.ready]
             self._evaluator = ready[0] if ready else None
-        self._gathering.share_out()
+        self._buffer.assign_work()
+
+
+def _shown(incarnation: str) -> str:
+    return quoted(shortened(incarnation))

@@ -1,27 +1,24 @@
-"""A slot: a place in the batch, who holds it, and where its environments go on."""
+"""A slot: its position in the batch, the actor that holds it, and the state its environments go on from."""
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
-from common.wire.messages import Environment, PushReply
+from common.wire.messages import Environment
 
-Place = tuple[int, int, int]
-"""Slot, generation and seq: where a rollout stands in the batch."""
 
-RolloutKey = tuple[int, str, int]
-"""Slot, incarnation and seq: `Rollout.key`."""
+class Refusal(NamedTuple):
+    """The reason why a rollout is not used: `slug` is counted, `text` is for a person."""
 
-Objection = tuple[str, str]
-"""Why a rollout is not used: the reason that is counted, and a text for a person."""
-
-ACCEPTED = PushReply("accepted", "")
+    slug: str
+    text: str
 
 
 @dataclass
 class Member:
-    """The actor that holds a slot. `next_seq` counts the rollouts taken from it, to know a repeat by."""
+    """The actor that holds a slot. `next_seq` is the number of the next rollout; smaller ones are duplicates."""
 
     incarnation: str
     generation: int
@@ -52,44 +49,45 @@ class Start:
 
     @classmethod
     def of(cls, data: bytes) -> Start:
-        """The start that a message says; CodecError where it is none."""
+        """The start described by an `Environment` message; CodecError where `data` is none."""
         kept = Environment.decode(data)
         return cls(kept.generation, kept.seq, data)
 
 
 @dataclass
 class Slot:
-    """A place in the batch and who holds it, if anyone; `given` counts how often it was given out.
+    """A position in the batch and its actor, if it has one; `given` counts how often it was assigned.
 
-    `start` is where its next holder goes on, until that has brought a rollout; None for new environments.
-    `excused`: the batch waits no longer for who has yet to come.
+    `start` is where its next holder goes on, until that has delivered a rollout; None for new environments.
+    `released`: the wait for an actor that has yet to come is over.
     """
 
     number: int
     given: int = 0
     member: Member | None = None
     start: Start | None = None
-    excused: bool = False
+    released: bool = False
 
     @property
-    def awaited(self) -> bool:
-        """Whether no other slot's actor may do its work, since what it will bring is settled."""
-        return not self.excused and (self.given == 0 or self.start is not None)
+    def reserved(self) -> bool:
+        """Whether the slot's work may not be given to other actors: which rollout it contributes is determined."""
+        return not self.released and (self.given == 0 or self.start is not None)
 
     @property
-    def manned(self) -> bool:
-        """Whether its rollout will come without another slot's actor: someone is in it, or is waited for.
+    def covered(self) -> bool:
+        """Whether its rollout will come without another slot's actor: it has a working actor, or is reserved.
 
-        One who compiles counts only where he is waited for: a successor does not hold up the others.
+        A compiling actor counts only while its slot is reserved, or is the first in it: the others must not wait for
+        a successor that compiles.
         """
-        if self.awaited or self.member is None:
-            return self.awaited
-        return (self.member.generation == 0 and not self.excused) or self.member.ready
+        if self.reserved or self.member is None:
+            return self.reserved
+        return (self.member.generation == 0 and not self.released) or self.member.ready
 
 
 @dataclass
 class Counts:
-    """What happened since the start, by kind: shown, logged and asserted on."""
+    """Events since the start, by kind: shown, logged and asserted on."""
 
     refused: Counter[str] = field(default_factory=Counter)
     repeated: int = 0

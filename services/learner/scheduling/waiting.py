@@ -1,4 +1,4 @@
-"""What holds a run up, in words for a person."""
+"""A sentence on what a run is waiting for."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ if TYPE_CHECKING:
 
 
 def describe_missing(slots: Sequence[Slot], done: Collection[int], written: Collection[int], now_s: float) -> str:
-    """Of every slot that has brought no rollout: "slot 1 compiling 12 s, slot 2 has no actor yet".
+    """List the slots without a rollout: "slot 1 compiling 12 s, slot 2 has no actor yet".
 
     Args:
-        done: slots with a rollout in the log; `written`: those with one on its way there.
-        now_s: seconds count up to it; an actor that has missed heartbeats by then is said to be silent.
+        done: slots with a rollout in the log.
+        written: slots with one that is being written to it.
+        now_s: the moment; an actor that has missed heartbeats by then is called silent.
     """
     return ", ".join(
         f"slot {slot.number} {'being written to the log' if slot.number in written else _doing(slot, now_s)}"
@@ -28,7 +29,7 @@ def describe_missing(slots: Sequence[Slot], done: Collection[int], written: Coll
 def _doing(slot: Slot, now_s: float) -> str:
     member = slot.member
     if member is None:
-        return "has no actor yet" if slot.awaited else "has lost its actor"
+        return "has no actor yet" if slot.reserved else "has lost its actor"
     unheard_s = max(0.0, now_s - member.heard_s)
     silent = f" (silent for {unheard_s:.0f} s)" if unheard_s > LATE_S else ""
     return f"{member.state} {member.state_s + unheard_s:.0f} s{silent}"

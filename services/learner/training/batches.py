@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from common.maths.state import Batch
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 
 
 def assemble(rollouts: Sequence[Rollout]) -> Batch:

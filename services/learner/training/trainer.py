@@ -21,7 +21,8 @@ from common.maths.rkhs.make import make_representation
 from common.maths.state import Batch, LearnerState, initial_state
 from common.maths.update import Metrics, make_update
 from common.tasks import TASKS
-from common.wire.messages import Rollout, digest_arrays
+from common.wire.messages import digest_arrays
+from common.wire.rollout import Rollout
 from services.learner.training.batches import assemble
 from services.learner.training.sampling import sampling_problem
 

@@ -12,7 +12,7 @@ from update_cases import in_the_middle, one_gradient_step
 from common.config.settings import AlgorithmSettings, RunSettings
 from common.errors import NumericsError
 from common.tasks import TASKS
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from services.learner.training.trainer import Trainer
 
 PARTS = ("parameters", "optimiser", "expansion", "observation moments", "return moments")

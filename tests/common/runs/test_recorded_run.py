@@ -14,7 +14,7 @@ from samples import rollout, settings
 from common.errors import LogReadError, SettingsError
 from common.runs.recorded_run import RecordedRun, open_run
 from common.runs.rollout_window import BATCHES, RolloutWindow
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 
 
 @pytest.fixture(scope="module")

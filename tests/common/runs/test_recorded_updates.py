@@ -10,7 +10,7 @@ from samples import rollout, settings, update_record
 from common.errors import LogReadError
 from common.log.records import LogMessage, encode_json
 from common.runs.recorded_updates import RecordedUpdate, read_updates
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 
 
 def logged(*made: Rollout) -> list[LogMessage]:
@@ -37,7 +37,7 @@ def test_updates_come_with_the_rollouts_they_name() -> None:
     log.append(update(5, *second))
     found = read(log, 3)
     assert [(one.version, one.state_digest) for one in found] == [(4, "d4"), (5, "d5")]
-    assert [[made.place for made in one.rollouts] for one in found] == [[(0, 0, 3), (1, 0, 3)], [(0, 0, 4), (1, 0, 4)]]
+    assert [[made.id for made in one.rollouts] for one in found] == [[(0, 0, 3), (1, 0, 3)], [(0, 0, 4), (1, 0, 4)]]
     assert (found[1].rollouts[0].obs == second[0].obs).all()
 
 

@@ -15,7 +15,7 @@ import services.learner.training.trainer
 import services.replay.service
 from common.config.settings import RunSettings
 from common.errors import NumericsError
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from reskpn.cli import main
 from services.learner.training.checkpoints import list_checkpoints, read_checkpoint
 

@@ -8,7 +8,7 @@ from mirrors import no_mirror
 
 from common.config.settings import RunSettings
 from common.runs.directory import KEPT_CHECKPOINTS
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from reskpn.doctor.needs import PROCESS_BYTES, UPDATE_BYTES, needs, rollout_bytes
 
 SETTINGS = RunSettings.model_validate(

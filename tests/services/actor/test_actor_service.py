@@ -346,7 +346,7 @@ def test_an_actor_whose_slot_was_given_away_joins_again(
     learner.hub.publish(snapshot(1))
     assert learner.batch() == [1.0]
     # Somebody else has the slot before any orders have told of it.
-    learner.hub._fleet.lose(member.incarnation)
+    learner.hub._fleet.remove(member.incarnation)
     learner.hub._fleet.join("other", "native", 0.0)
     learner.hub.publish(snapshot(2))
     until(lambda: any("join again; joining again" in line for line in actors.said))

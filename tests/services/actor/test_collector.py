@@ -17,7 +17,7 @@ from common.maths.policy import Mean, Policy, act
 from common.maths.rkhs.make import make_representation
 from common.maths.trees import to_arrays
 from common.physics.environments import BatchedEnvironment, make_environment
-from common.wire.messages import Rollout, RolloutShape
+from common.wire.rollout import Rollout, RolloutShape
 from services.actor.collector import COLLECT, RESET, Collector, SlotGeneration
 from services.actor.rollouts import rollout_message
 from services.worker.deterministic import DeterministicEpisodes, evaluate

@@ -12,7 +12,8 @@ from samples import RUN, question, settings, snapshot
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from common.wire.keys import JOIN, Keys
-from common.wire.messages import JoinReply, PushReply, Rollout
+from common.wire.messages import JoinReply, PushReply
+from common.wire.rollout import Rollout
 from common.wire.session import Session
 from services.learner.endpoints.hub import Hub
 

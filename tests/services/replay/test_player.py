@@ -16,7 +16,8 @@ from common.errors import SessionError
 from common.log.reader import LogMessage
 from common.runs.recorded_run import RecordedRun, open_run
 from common.wire.keys import Keys
-from common.wire.messages import Orders, Rollout, Snapshot
+from common.wire.messages import Orders, Snapshot
+from common.wire.rollout import Rollout
 from common.wire.session import Session
 from services.replay.player import Player
 from services.replay.service import LONGEST_PAUSE_S, Recorded, at_pace, run_player

@@ -11,7 +11,7 @@ from recorded_runs import UPDATES, Message, Recording, write_log
 
 from common.errors import LogReadError
 from common.runs.recorded_run import open_run
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from services.learner.training.trainer import Trainer
 from services.replay.verify import MetricDifference, Verdict, metric_differences, verify
 

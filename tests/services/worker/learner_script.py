@@ -31,8 +31,10 @@ class Script:
             request.reply(answer)
 
 
-def reply(accepted: bool, reason: str = "", *, final: bool = False) -> bytes:
-    return JoinReply(accepted, reason, final, RUN, 1, 2, settings(seed=7).model_dump_json()).encode()
+def reply(accepted: bool, text: str = "", *, slug: str = "no_slot", final: bool = False) -> bytes:
+    if not accepted:
+        return JoinReply.refused(RUN, slug, text, final=final).encode()
+    return JoinReply.granted(RUN, 1, 2, settings(seed=7).model_dump_json()).encode()
 
 
 def ask_to_join(session: Session, stop: threading.Event, told: list[str] | None = None) -> Assignment | None:

@@ -78,11 +78,12 @@ def test_a_final_refusal_ends_it(sessions: Sessions, stop: threading.Event) -> N
 
 def test_a_run_that_is_over_is_no_refusal(sessions: Sessions, stop: threading.Event) -> None:
     """An actor that comes too late, or stood by to the end, has nothing to do and no reason to fail."""
+    over = reply(False, "nothing is left to do", slug="finished", final=True)
     learner = sessions(listen=True)
-    learner.serve(JOIN, Script(reply(False, "full"), reply(False, "finished: nothing is left to do", final=True)))
+    learner.serve(JOIN, Script(reply(False, "full"), over))
     told: list[str] = []
     assert ask_to_join(sessions(), stop, told) is None
-    assert told[-2:] == ["full", "finished: nothing is left to do"]
+    assert told[-2:] == ["full", "nothing is left to do"]
 
 
 def test_every_question_without_a_slot_is_told(sessions: Sessions, stop: threading.Event) -> None:

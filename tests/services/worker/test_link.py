@@ -19,7 +19,8 @@ from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from common.wire import codec
 from common.wire.keys import Keys
-from common.wire.messages import Orders, PushReply, Rollout
+from common.wire.messages import ACCEPTED, Orders, PushReply
+from common.wire.rollout import Rollout
 from common.wire.session import Request, Session
 from services.actor.link import ActorLink
 from services.learner.endpoints.hub import Hub
@@ -28,7 +29,6 @@ from services.worker.link import AssignmentLost
 
 DEADLINE_S = 15.0
 KEYS = Keys(RUN)
-ACCEPTED = PushReply("accepted", "")
 MEMBER = Assignment(RUN, 0, 0, "a", settings())
 
 Sessions = Callable[..., Session]
@@ -99,7 +99,7 @@ def test_a_rollout_that_is_accepted(linked: Linked, stop: threading.Event) -> No
 
 def test_busy_then_accepted(linked: Linked, stop: threading.Event) -> None:
     """The same bytes again until the learner has room."""
-    busy = PushReply("busy", "the learner's queue is full").encode()
+    busy = PushReply("busy", "queue_full", "the learner's queue is full").encode()
     pushes = Script(busy, busy, ACCEPTED.encode())
     _, link = linked(pushes)
     assert link.push(rollout(), stop)
@@ -117,14 +117,14 @@ def test_a_lost_answer_means_the_same_again(linked: Linked, stop: threading.Even
 @pytest.mark.parametrize("reason", ["stale: made with policy 0", "surplus: policy 1 has all"])
 def test_what_is_of_no_use_any_more_is_not_taken(linked: Linked, stop: threading.Event, reason: str) -> None:
     """The actor goes on with what is wanted now."""
-    _, link = linked(Script(PushReply("refused", reason).encode()))
+    _, link = linked(Script(PushReply.refused(*reason.split(": ")).encode()))
     assert not link.push(rollout(), stop)
 
 
 @pytest.mark.parametrize("reason", ["incarnation: slot 0 is not held by 'a'", "gap: rollout 3 came where 2 is next"])
 def test_an_actor_that_is_not_known_any_more_is_lost(linked: Linked, stop: threading.Event, reason: str) -> None:
     """It must join again."""
-    _, link = linked(Script(PushReply("refused", reason).encode()))
+    _, link = linked(Script(PushReply.refused(*reason.split(": ")).encode()))
     with pytest.raises(AssignmentLost, match=reason[:20]):
         link.push(rollout(), stop)
 
@@ -134,7 +134,7 @@ def test_an_actor_that_is_not_known_any_more_is_lost(linked: Linked, stop: threa
 )
 def test_what_is_malformed_is_not_sent_again(linked: Linked, stop: threading.Event, reason: str) -> None:
     """It would be no better the next time: the learner's reason is the error."""
-    _, link = linked(Script(PushReply("refused", reason).encode()))
+    _, link = linked(Script(PushReply.refused(*reason.split(": ")).encode()))
     with pytest.raises(RefusedError, match=f"refused what this actor sent: {reason[:9]}"):
         link.push(rollout(), stop)
 
@@ -146,7 +146,7 @@ def test_pushing_can_be_stopped(linked: Linked, stop: threading.Event) -> None:
     def stop_and_be_busy(request: Request) -> None:
         asked.append(request.payload)
         stop.set()
-        request.reply(PushReply("busy", "").encode())
+        request.reply(PushReply("busy", "", "").encode())
 
     _, link = linked(stop_and_be_busy)
     assert not link.push(rollout(), stop)
@@ -156,9 +156,9 @@ def test_pushing_can_be_stopped(linked: Linked, stop: threading.Event) -> None:
 def test_an_evaluation_goes_the_same_way(linked: Linked, stop: threading.Event) -> None:
     """Sent again while the learner is busy, False where it is not wanted any more."""
     pushes = Script(
-        PushReply("busy", "").encode(),
+        PushReply("busy", "", "").encode(),
         ACCEPTED.encode(),
-        PushReply("refused", "stale: this evaluation was not asked for").encode(),
+        PushReply("refused", "stale", "this evaluation was not asked for").encode(),
     )
     _, link = linked(pushes)
     assert link.push_evaluation(evaluation(), stop)

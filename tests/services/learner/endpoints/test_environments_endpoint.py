@@ -93,13 +93,13 @@ def test_what_is_refused(learner: Learner, actor: Actor, changes: dict[str, Any]
     """With a reason, and without a trace in the log."""
     answer = push(actor, environment(**changes))
     assert answer.status == "refused"
-    assert answer.reason.startswith(reason)
+    assert f"{answer.slug}: {answer.text}".startswith(reason)
     assert logged(learner) == []
 
 
 def test_the_key_must_be_the_slots(learner: Learner, actor: Actor) -> None:
     """A state cannot take another slot's place; bytes that are none are counted as malformed."""
-    assert push(actor, environment(), slot=1).reason.startswith("bad_key: ")
+    assert push(actor, environment(), slot=1).slug == "bad_key"
     answer = PushReply.decode(actor.ask(KEYS.environment(0), b"\x01"))
     assert answer.status == "refused"
     assert sum(learner.hub.refusals().values()) == 2
@@ -108,7 +108,7 @@ def test_the_key_must_be_the_slots(learner: Learner, actor: Actor) -> None:
 def test_a_version_that_wants_none_refuses(learner: Learner, actor: Actor) -> None:
     """An actor's orders tell it when."""
     learner.hub.publish(snapshot(4))
-    assert push(actor, environment()).reason.startswith("stale: ")
+    assert push(actor, environment()).slug == "stale"
 
 
 def test_a_resumed_slot_is_given_its_environments(learners: Callable[..., Learner], actors: Any) -> None:
@@ -149,7 +149,9 @@ def test_when_the_log_has_failed_nothing_is_kept(
 ) -> None:
     """Who hands in is told to wait: it is the learner's loop that ends the run. No handler fails."""
     learner.writer.close()
-    assert push(actor, environment(0, "a")) == PushReply("busy", "the log cannot be written any more: the run stops")
+    assert push(actor, environment(0, "a")) == PushReply.busy(
+        "log_failed", "the log cannot be written any more: the run stops"
+    )
     kept = learner.hub.environments.kept()
     assert kept is not None
     assert kept.states == {}

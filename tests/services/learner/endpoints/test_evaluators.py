@@ -13,7 +13,7 @@ from samples import RUN, rollout, snapshot
 from common.config.sources import parse_json
 from common.log.reader import LogReader
 from common.wire.assessment import Assessment
-from common.wire.messages import PushReply
+from common.wire.messages import ACCEPTED, PushReply
 from services.learner.endpoints import evaluators as evaluators_module
 from services.learner.reporting.curves import points_of_evaluation
 from services.learner.reporting.evaluations import is_of_the_run
@@ -66,7 +66,7 @@ def test_what_it_brings_is_logged(learners: Callable[..., Learner], evaluator: C
     learner = learners()
     side = evaluator("e")
     learner.hub.publish(snapshot(4))
-    assert push(side, assessment(version=3)) == PushReply("accepted", "")
+    assert push(side, assessment(version=3)) == ACCEPTED
     expected = {
         "version": 3, "env_steps": 36, "episodes": 2, "return_mean": 20.0, "return_std": 10.0, "return_min": 10.0,
         "return_max": 30.0, "length_mean": 6.0, "length_std": 1.0, "source": "evaluator-e", "behind": 1,
@@ -96,7 +96,7 @@ def test_it_is_acknowledged_once_it_is_in_the_log(
     assert learner.hub.report().evaluation is None
     learner.log.let_one_go()
     until(lambda: learner.hub.report().evaluation is not None)
-    assert push(side, assessment()) == PushReply("accepted", "")
+    assert push(side, assessment()) == ACCEPTED
     assert len(logged(learner, "/eval")) == 1
 
 
@@ -151,15 +151,15 @@ def test_what_is_refused(learners: Callable[..., Learner], evaluator: Callable[[
     side = evaluator("e")
     side.join("a")
     reasons = {
-        push(side, assessment("stranger")).reason.partition(":")[0]: "incarnation",
-        push(side, assessment("a")).reason: "'a' is no evaluator",
-        push(side, assessment(run="run-2")).reason: "incarnation",
-        push(side, assessment(version=1)).reason: "bad_value: version is 1; the newest is 0",
-        push(side, assessment(), KEYS.assessment("f")).reason: "bad_key",
+        push(side, assessment("stranger")).slug: "incarnation",
+        push(side, assessment("a")).text: "'a' is no evaluator",
+        push(side, assessment(run="run-2")).slug: "incarnation",
+        push(side, assessment(version=1)).text: "version is 1; the newest is 0",
+        push(side, assessment(), KEYS.assessment("f")).slug: "bad_key",
     }
     assert all(expected in found for found, expected in reasons.items()), reasons
     learner.hub.finish()
-    assert push(side, assessment()) == PushReply("refused", "stale: the run is over")
+    assert push(side, assessment()) == PushReply.refused("stale", "the run is over")
     assert learner.hub.report().refusals == {"assessment": {"incarnation": 3, "bad_value": 1, "bad_key": 1, "stale": 1}}
     assert logged(learner, "/eval") == []
 
@@ -179,7 +179,7 @@ def test_the_runs_end_does_not_wait_for_it(
     learner, side = learners(), actors()
     assert side.join("e", role="evaluator").accepted
     full = side.join("f", role="evaluator")
-    assert (full.accepted, full.final, full.reason) == (
+    assert (full.accepted, full.final, full.text) == (
         False,
         False,
         "all 1 places for evaluators are taken; end one of them",

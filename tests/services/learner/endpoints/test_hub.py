@@ -41,7 +41,7 @@ def test_another_schema_is_refused_for_good(learners: Callable[..., Learner], ac
     other = codec.encode(codec.decode(question().encode()) | {"schema": 999, "field_of_the_future": 1})
     reply = JoinReply.decode(actors().ask(JOIN, other))
     assert (reply.accepted, reply.final) == (False, True)
-    assert reply.reason == (
+    assert reply.text == (
         f"Join of schema 999, but this side speaks schema {codec.SCHEMA_VERSION}: "
         "run the same release on the learner and on the actors"
     )
@@ -54,7 +54,7 @@ def test_a_question_that_is_none_is_refused_for_good(
     learner = learners()
     reply = JoinReply.decode(actors().ask(JOIN, b"hello"))
     assert (reply.accepted, reply.final) == (False, True)
-    assert "not a message" in reply.reason
+    assert "not a message" in reply.text
     assert learner.hub.refusals() == {"not_msgpack": 1}
 
 
@@ -63,7 +63,7 @@ def test_another_run_is_refused_for_good(learners: Callable[..., Learner], actor
     learners()
     reply = actors().join(run="run-2")
     assert (reply.accepted, reply.final) == (False, True)
-    assert reply.reason == "this learner runs 'run-1', not 'run-2'"
+    assert reply.text == "this learner runs 'run-1', not 'run-2'"
 
 
 def test_a_full_run_is_refused_for_now(learners: Callable[..., Learner], actors: Callable[[], Actor]) -> None:
@@ -73,7 +73,7 @@ def test_a_full_run_is_refused_for_now(learners: Callable[..., Learner], actors:
     actor.join("a")
     reply = actor.join("b")
     assert (reply.accepted, reply.final) == (False, False)
-    assert reply.reason == "all 1 slots are taken; this actor stands by and takes over when one is freed"
+    assert reply.text == "all 1 slots are taken; this actor stands by and takes over when one is freed"
 
 
 def test_a_finished_run_is_refused_for_good(learners: Callable[..., Learner], actors: Callable[[], Actor]) -> None:
@@ -83,7 +83,8 @@ def test_a_finished_run_is_refused_for_good(learners: Callable[..., Learner], ac
     reply = actor.join()
     assert (reply.accepted, reply.final) == (False, True)
     assert reply.finished
-    assert reply.reason == "finished: the run is over, nothing is left to do for run 'run-1'"
+    assert reply.finished
+    assert reply.text == "the run is over, nothing is left to do for run 'run-1'"
 
 
 def test_who_stands_by_is_known_until_it_has_asked_again(
@@ -103,7 +104,7 @@ def test_who_stands_by_is_known_until_it_has_asked_again(
     until(lambda: not learner.hub.standing_by())
 
 
-def test_slots_nobody_came_for_are_excused_after_their_time(
+def test_slots_without_an_actor_are_released_after_their_time(
     learners: Callable[..., Learner], actors: Callable[[], Actor], until: Callable[..., None]
 ) -> None:
     """The one that is there is told to do the work, and the user is told why."""
@@ -113,10 +114,10 @@ def test_slots_nobody_came_for_are_excused_after_their_time(
     actor.join("a")
     learner.events.get(timeout=DEADLINE_S)
     until(lambda: (learner.hub.announce(), bool(heard))[1])
-    learner.hub.excuse_absent()
+    learner.hub.release_reserved()
     until(lambda: heard[-1].collect == {0: 2})
     text = "no actor after 0.001 s in slot 1: others do its work"
-    assert learner.events.get(timeout=DEADLINE_S) == ("info", "slots_excused", text)
+    assert learner.events.get(timeout=DEADLINE_S) == ("info", "slots_released", text)
 
 
 @pytest.mark.parametrize("wait_s", [None, 3600.0])
@@ -126,7 +127,7 @@ def test_slots_are_waited_for_until_then(
     """For ever, if no time is set."""
     learner, actor = learners(slot_wait_s=wait_s), actors()
     actor.join("a")
-    learner.hub.excuse_absent()
+    learner.hub.release_reserved()
     assert "slot 1 has no actor yet" in learner.hub.waiting_for()
     assert [learner.events.get(timeout=DEADLINE_S)[1], learner.events.empty()] == ["actor_joined", True]
 
@@ -187,7 +188,7 @@ def test_a_silent_actor_is_dropped(
     learner.hub.drop_silent()
     assert learner.hub.actors() == 0
     assert learner.events.get(timeout=DEADLINE_S)[1] == "actor_lost"
-    assert actor.push(rollout()).reason.startswith("incarnation: ")
+    assert actor.push(rollout()).slug == "incarnation"
 
 
 # -- what the learner tells --------------------------------------------------------------------------------
@@ -282,15 +283,15 @@ def test_an_evaluation_is_taken_from_who_holds_the_slot(
     actor.join("a")
     learner.hub.publish(snapshot(3))
     early = PushReply.decode(actor.ask(KEYS.evaluation(0), evaluation(0, "a", 3).encode()))
-    assert early.reason == "stale: this evaluation was not asked for"
+    assert (early.slug, early.text) == ("stale", "this evaluation was not asked for")
     learner.hub.ask_for_evaluation(2)
 
     def push(*place: Any) -> PushReply:
         return PushReply.decode(actor.ask(KEYS.evaluation(0), evaluation(*place).encode()))
 
     for place in ((0, "a", 2), (0, "stranger", 3), (1, "a", 3)):
-        assert push(*place) == PushReply("refused", "stale: this evaluation was not asked for"), place
-    assert PushReply.decode(actor.ask(KEYS.evaluation(0), b"hello")).reason.startswith("not_msgpack: ")
+        assert push(*place) == PushReply.refused("stale", "this evaluation was not asked for"), place
+    assert PushReply.decode(actor.ask(KEYS.evaluation(0), b"hello")).slug == "not_msgpack"
     assert learner.hub.evaluation(0.0) is None
     assert push(0, "a", 3).status == "accepted"
     assert push(0, "a", 3).status == "accepted"

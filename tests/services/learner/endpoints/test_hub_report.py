@@ -75,7 +75,7 @@ def test_an_engine_that_there_is_not_is_refused_for_good(
     learner = learners(physics="auto")
     reply = actors().join(physics="\x1b[2J")
     assert (reply.accepted, reply.final) == (False, True)
-    assert reply.reason == "physics is '\\x1b[2J'; allowed: auto, mjx, native"
+    assert reply.text == "physics is '\\x1b[2J'; allowed: auto, mjx, native"
     assert learner.hub.refusals() == {"bad_value": 1}
     assert learner.hub.engines() == set()
 

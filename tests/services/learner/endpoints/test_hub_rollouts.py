@@ -13,7 +13,7 @@ from samples import heartbeat, rollout, snapshot
 
 from common.errors import LogWriteError
 from common.wire import codec
-from common.wire.messages import PushReply
+from common.wire.messages import ACCEPTED, PushReply
 
 
 def test_a_rollout_is_accepted_once_it_is_in_the_log(
@@ -23,7 +23,7 @@ def test_a_rollout_is_accepted_once_it_is_in_the_log(
     learner, actor = learners(), actors()
     actor.join("a")
     made = rollout(0, "a")
-    assert actor.push(made) == PushReply("accepted", "")
+    assert actor.push(made) == ACCEPTED
     assert learner.logged() == [made.encode()]
 
 
@@ -42,7 +42,7 @@ def test_a_rollout_that_is_not_in_the_log_is_neither_accepted_nor_used(
         assert learner.hub.rollouts(0.0) is None
         assert not answer.done()
         learner.log.let_one_go()
-        assert answer.result(DEADLINE_S) == PushReply("accepted", "")
+        assert answer.result(DEADLINE_S) == ACCEPTED
     assert actor.push(made).status == "accepted"
     taken = learner.hub.rollouts(0.0)
     assert taken is not None
@@ -115,7 +115,7 @@ def test_what_is_no_use_is_refused_and_stays_out_of_the_log(
     for what, (make, reason) in MALFORMED.items():
         reply = actor.push_bytes(make())
         assert reply.status == "refused", what
-        assert reply.reason.startswith(reason), what
+        assert f"{reply.slug}: {reply.text}".startswith(reason), what
     assert learner.hub.rollouts(0.0) is None
     good = rollout()
     assert actor.push(good).status == "accepted"
@@ -142,7 +142,7 @@ def test_a_full_queue_makes_the_actor_wait(learners: Callable[..., Learner], act
     size = len(rollout().encode())
     learner, actor = learners(transport={"queue_bytes": size - 1}), actors()
     actor.join("a")
-    assert actor.push(rollout()) == PushReply("busy", "the learner's queue is full")
+    assert actor.push(rollout()) == PushReply.busy("queue_full", "the learner's queue is full")
     assert learner.logged() == []
     assert learner.hub.refusals() == {}
 
@@ -154,7 +154,7 @@ def test_when_the_log_has_failed_nothing_is_used(
     learner, actor = learners(actors=1, num_envs=2), actors()
     actor.join("a")
     learner.writer.close()
-    assert actor.push(rollout()) == PushReply("busy", "the log cannot be written any more: the run stops")
+    assert actor.push(rollout()) == PushReply.busy("log_failed", "the log cannot be written any more: the run stops")
     assert not caplog.records
     assert learner.hub.rollouts(0.0) is None
     with pytest.raises(LogWriteError):

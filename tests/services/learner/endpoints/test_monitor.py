@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from samples import RUN, STATUS_NOW, heartbeat, settings
 
-from common.wire.messages import PushReply
+from common.wire.messages import ACCEPTED, PushReply
 from common.wire.report import LONGEST, RunReport
 from services.learner.endpoints.monitor import KEPT_VERSIONS, RunMonitor
 from services.learner.scheduling.fleet import Fleet
@@ -24,7 +24,7 @@ def census(fleet: Fleet) -> RunMonitor:
     census = RunMonitor(RUN, settings(), 100.0)
     fleet.join("a", "native", 101.0)
     census.joined(0, "a", "here", 101.0)
-    fleet.heard(heartbeat(0, "a", "collecting", version=4, state_s=0.5), 102.0)
+    fleet.record_heartbeat(heartbeat(0, "a", "collecting", version=4, state_s=0.5), 102.0)
     return census
 
 
@@ -54,11 +54,11 @@ def test_the_age_of_a_snapshot(census: RunMonitor, fleet: Fleet) -> None:
 def test_rollouts_are_counted_by_slot_and_in_all(census: RunMonitor, fleet: Fleet) -> None:
     """Accepted, repeated, busy and refused; a key that names no slot of the run counts in all alone."""
     census.accepted(0)
-    census.answered(f"{KEY}0", PushReply("accepted", ""), 102.0)
-    census.answered(f"{KEY}0", PushReply("busy", "the learner's queue is full"), 102.0)
-    census.answered(f"{KEY}0", PushReply("refused", "stale: too old: by far"), 102.0)
+    census.answered(f"{KEY}0", ACCEPTED, 102.0)
+    census.answered(f"{KEY}0", PushReply.busy("queue_full", "the learner's queue is full"), 102.0)
+    census.answered(f"{KEY}0", PushReply.refused("stale", "too old: by far"), 102.0)
     for stray in ("2", "*", "99999999999999", "x", "", "٣"):
-        census.answered(f"{KEY}{stray}", PushReply("refused", "bad_key: no"), 102.5)
+        census.answered(f"{KEY}{stray}", PushReply.refused("bad_key", "no"), 102.5)
     found = report(census, fleet)
     actor = found.actors[0]
     assert (actor.accepted, actor.repeated, actor.busy, actor.refused) == (1, 1, 1, 1)
@@ -74,7 +74,7 @@ def test_a_new_incarnation_starts_at_zero(census: RunMonitor, fleet: Fleet) -> N
     census.accepted(0)
     census.joined(0, "a", "here", 102.0)
     assert report(census, fleet).actors[0].accepted == 1
-    fleet.lose("a")
+    fleet.remove("a")
     census.left(0, 102.0)
     lost = report(census, fleet)
     assert [(vacancy.slot, vacancy.lost, vacancy.for_s) for vacancy in lost.vacancies] == [

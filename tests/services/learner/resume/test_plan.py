@@ -93,8 +93,8 @@ def test_the_newest_complete_checkpoint(tmp_path: Path) -> None:
     assert found.arrays is not None
     assert found.arrays["count"] == 6
     assert found.starts == [Start(0, 6, environment(slot, 6)) for slot in (0, 1)]
-    assert [one.place for one in found.tail.rollouts(6)] == [(0, 0, 6), (1, 0, 6)]
-    assert [one.place for one in found.tail.rollouts(7)] == [(0, 0, 7)]
+    assert [one.id for one in found.tail.rollouts(6)] == [(0, 0, 6), (1, 0, 6)]
+    assert [one.id for one in found.tail.rollouts(7)] == [(0, 0, 7)]
     assert [record["version"] for record in found.episodes] == [1, 2, 3, 4, 5, 6]
     assert found.notes[-1].endswith("environments of 2 slots; a tail of 1 updates and 1 rollouts not yet used")
 
@@ -120,8 +120,8 @@ def test_rollouts_that_came_before_the_record_of_their_version(tmp_path: Path) -
     keep(tmp_path, 6)
     found = resumed(tmp_path)
     assert found.log_only_reason is None
-    assert [one.place for one in found.tail.rollouts(7)] == [(0, 0, 7), (1, 0, 7)]
-    assert [one.place for one in found.tail.rollouts(8)] == [(0, 0, 8)]
+    assert [one.id for one in found.tail.rollouts(7)] == [(0, 0, 7), (1, 0, 7)]
+    assert [one.id for one in found.tail.rollouts(8)] == [(0, 0, 8)]
     assert found.tail.rollouts(9) == []
     assert found.notes[-1].endswith("a tail of 1 updates and 3 rollouts not yet used")
 
@@ -187,7 +187,7 @@ def test_a_run_in_async_mode(tmp_path: Path, segments: int) -> None:
     assert found.version == 6
     assert found.log_only_reason == "in async mode what actors make depends on the timing, and cannot be made again"
     assert found.starts == [Start(1), Start(0)]
-    assert [one.place for one in found.tail.rollouts(6)] == [(0, 0, 12), (0, 0, 13)]
+    assert [one.id for one in found.tail.rollouts(6)] == [(0, 0, 12), (0, 0, 13)]
     assert [(one.seq, one.policy_version) for one in found.tail.rollouts(7)] == [(14, 6), (15, 6), (16, 7), (17, 7)]
 
 
@@ -229,7 +229,7 @@ def test_from_the_beginning(tmp_path: Path) -> None:
     found = resumed(tmp_path)
     assert (found.version, found.arrays, found.log_only_reason) == (0, None, None)
     assert found.starts == [Start(0), Start(0)]
-    assert [one.place for one in found.tail.rollouts(0)] == [(0, 0, 0), (1, 0, 0)]
+    assert [one.id for one in found.tail.rollouts(0)] == [(0, 0, 0), (1, 0, 0)]
     assert found.notes[-1].startswith("resumed: from the beginning; environments of 0 slots; a tail of 2 updates")
 
 

@@ -14,7 +14,7 @@ import pytest
 from samples import RUN, recorded_update, rollout, settings
 
 from common.runs.recorded_updates import RecordedUpdate
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from services.learner.loop import TrainingLoop
 from services.learner.resume.plan import Resumption
 from services.learner.resume.resumed_replay import ResumedReplay
@@ -92,7 +92,7 @@ class Sides:
 
 
 def places(rollouts: list[Rollout]) -> list[tuple[int, int, int]]:
-    return [one.place for one in rollouts]
+    return [one.id for one in rollouts]
 
 
 def test_the_actors_act_again(resumption: Resumption) -> None:

@@ -84,7 +84,7 @@ def test_another_run_is_not_over(run_dir: Path) -> None:
         stop.set()
         notice.join(DEADLINE_S)
     assert (reply.accepted, reply.finished, reply.final) == (False, False, True)
-    assert reply.reason == "this learner runs 'run-1', not 'another'"
+    assert reply.text == "this learner runs 'run-1', not 'another'"
 
 
 def test_who_has_joined_hears_it_in_the_orders(run_dir: Path) -> None:

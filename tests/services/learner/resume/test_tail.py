@@ -11,9 +11,9 @@ from samples import recorded_update, rollout
 
 from common.errors import LogReadError
 from common.runs.recorded_updates import RecordedUpdate
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from services.learner.resume.tail import Tail, divergence
-from services.learner.scheduling.comparison import difference
+from services.learner.scheduling.comparison import first_divergence as diff
 from services.learner.scheduling.slots import Start
 
 
@@ -37,7 +37,7 @@ def test_a_tail_gives_what_belongs_to_a_version() -> None:
     assert tail.after(4) is found
     assert tail.rollouts(5) == unused
     assert tail.after(5) is None
-    assert [made.place for made in tail.rollouts(6)] == [(0, 0, 6), (1, 0, 6)]
+    assert [made.id for made in tail.rollouts(6)] == [(0, 0, 6), (1, 0, 6)]
     assert tail.rollouts(7) == []
     with pytest.raises(LogReadError, match="no update 5, but one to 5"):
         Tail(5, updates(4)).after(4)
@@ -67,9 +67,9 @@ def test_the_same_rollout_made_again_does_not_differ() -> None:
     """By whom, when and how fast is of no matter; a number that is not finite is equal to itself."""
     old = rollout(1, "a", 4, 7)
     made = dataclasses.replace(old, incarnation="b", t_ns=99, timing={"collect": 9.0}, obs=old.obs.copy())
-    assert difference(old, made) is None
+    assert diff(old, made) is None
     broken = np.full((3, 2), np.nan, np.float32)
-    assert difference(dataclasses.replace(old, reward=broken), dataclasses.replace(made, reward=broken.copy())) is None
+    assert diff(dataclasses.replace(old, reward=broken), dataclasses.replace(made, reward=broken.copy())) is None
 
 
 def test_what_differs_is_named() -> None:
@@ -77,13 +77,13 @@ def test_what_differs_is_named() -> None:
     old = rollout(1, "a", 4, 7, reward=np.zeros((3, 2), np.float32))
     reward = old.reward.copy()
     reward[2, 1] = 0.5
-    assert difference(old, dataclasses.replace(old, reward=reward)) == "reward[2, 1] is 0.0 in the log and 0.5 now"
+    assert diff(old, dataclasses.replace(old, reward=reward)) == "reward[2, 1] is 0.0 in the log and 0.5 now"
     minus = old.reward.copy()
     minus[0, 0] = -0.0
-    assert difference(old, dataclasses.replace(old, reward=minus)) == "reward[0, 0] is 0.0 in the log and -0.0 now"
+    assert diff(old, dataclasses.replace(old, reward=minus)) == "reward[0, 0] is 0.0 in the log and -0.0 now"
     ended = dataclasses.replace(old, episode_return=np.ones(1, np.float32))
-    assert difference(old, ended) == "episode_return has shape [0] in the log and [1] now"
-    assert difference(old, dataclasses.replace(old, policy_version=8)) == "policy 7 acted in the log, policy 8 now"
+    assert diff(old, ended) == "episode_return has shape [0] in the log and [1] now"
+    assert diff(old, dataclasses.replace(old, policy_version=8)) == "policy 7 acted in the log, policy 8 now"
 
 
 STARTS = [Start(0, 3), Start(2, 1)]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from samples import RUN, heartbeat, rollout
 
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from services.learner.scheduling.async_queue import AsyncQueue
 from services.learner.scheduling.fleet import Fleet
 
@@ -29,7 +29,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
     @initialize(slots=st.integers(1, 3), max_staleness=st.integers(0, 3))
     def start(self, slots: int, max_staleness: int) -> None:
         self.slots, self.max_staleness = slots, max_staleness
-        self.fleet = Fleet(RUN, slots, gather=partial(AsyncQueue, max_staleness=max_staleness, updates=UPDATES))
+        self.fleet = Fleet(RUN, slots, make_buffer=partial(AsyncQueue, max_staleness=max_staleness, updates=UPDATES))
         self.version = 0
         self.fleet.begin(0)
         self.names = 0
@@ -58,14 +58,14 @@ class AnyOrderOfThings(RuleBasedStateMachine):
         self.hear(name, ready)
 
     def hear(self, name: str, ready: bool) -> None:
-        self.fleet.heard(heartbeat(self.present[name][0], name, "waiting" if ready else "compiling"), 0.0)
+        self.fleet.record_heartbeat(heartbeat(self.present[name][0], name, "waiting" if ready else "compiling"), 0.0)
         (self.ready.add if ready else self.ready.discard)(name)
 
     @precondition(lambda self: self.present)
     @rule(data=st.data())
     def lose(self, data: st.DataObject) -> None:
         name = data.draw(st.sampled_from(sorted(self.present)))
-        assert self.fleet.lose(name) is not None
+        assert self.fleet.remove(name) is not None
         del self.present[name]
         self.ready.discard(name)
 
@@ -90,7 +90,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
         )
         answer = self.fleet.admit(made)
         if answer is not None:
-            assert answer.reason.split(":")[0] in ("stale", "surplus")
+            assert answer.slug in ("stale", "surplus")
             return False
         self.admitted[name] += 1
         self.made[name] += 1
@@ -118,7 +118,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
         batch = self.fleet.take()
         if batch is None:
             return False
-        assert [made.place for made in batch] == sorted(made.place for made in batch)
+        assert [made.id for made in batch] == sorted(made.id for made in batch)
         assert {made.key for made in batch} == {made.key for made in self.logged[: self.slots]}
         assert len(batch) == self.slots
         assert all(0 <= self.version - made.policy_version <= self.max_staleness for made in batch)

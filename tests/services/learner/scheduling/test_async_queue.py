@@ -6,7 +6,8 @@ from functools import partial
 
 from samples import RUN, heartbeat, rollout
 
-from common.wire.messages import PushReply, Rollout
+from common.wire.messages import PushReply
+from common.wire.rollout import Rollout
 from services.learner.scheduling.async_queue import AsyncQueue
 from services.learner.scheduling.fleet import Fleet
 
@@ -15,11 +16,11 @@ UPDATES = 100
 
 def make_fleet(slots: int, *incarnations: str, max_staleness: int = 1, updates: int = UPDATES) -> Fleet:
     """A fleet at version 0 whose actors, one a slot in the order given, are ready."""
-    fleet = Fleet(RUN, slots, gather=partial(AsyncQueue, max_staleness=max_staleness, updates=updates))
+    fleet = Fleet(RUN, slots, make_buffer=partial(AsyncQueue, max_staleness=max_staleness, updates=updates))
     fleet.begin(0)
     for number, incarnation in enumerate(incarnations):
         fleet.join(incarnation, "native", 0.0)
-        fleet.heard(heartbeat(number, incarnation), 0.0)
+        fleet.record_heartbeat(heartbeat(number, incarnation), 0.0)
     return fleet
 
 
@@ -32,7 +33,7 @@ def push(fleet: Fleet, made: Rollout) -> None:
 def refusal(answer: PushReply | None) -> str:
     assert answer is not None
     assert answer.status == "refused"
-    return answer.reason.split(":")[0]
+    return answer.slug
 
 
 def wanted(fleet: Fleet) -> dict[int, int]:
@@ -105,7 +106,7 @@ def test_a_rollout_that_would_be_too_old_when_its_turn_comes_is_refused() -> Non
     late = fleet.admit(rollout(1, "slow", 0, policy_version=0))
     assert refusal(late) == "stale"
     assert late is not None
-    assert late.reason.endswith("the update of policy 2 that would use it takes none older than 1")
+    assert late.text.endswith("the update of policy 2 that would use it takes none older than 1")
     fleet.begin(2)
     assert refusal(fleet.admit(rollout(1, "slow", 0, policy_version=0))) == "stale"
     push(fleet, rollout(1, "slow", 0, policy_version=1))
@@ -144,19 +145,19 @@ def test_who_is_not_ready_is_not_waited_for() -> None:
     fleet = make_fleet(3, "a")
     assert wanted(fleet) == {0: 6}
     fleet.join("b", "native", 0.0)
-    fleet.heard(heartbeat(1, "b", "compiling"), 0.0)
+    fleet.record_heartbeat(heartbeat(1, "b", "compiling"), 0.0)
     assert wanted(fleet) == {0: 6, 1: 0}
-    fleet.heard(heartbeat(1, "b", "waiting"), 0.0)
+    fleet.record_heartbeat(heartbeat(1, "b", "waiting"), 0.0)
     assert wanted(fleet) == {0: 3, 1: 3}
-    assert fleet.excuse() == []
-    fleet.lose("a")
+    assert fleet.release_reserved() == []
+    fleet.remove("a")
     assert wanted(fleet) == {1: 6}
 
 
 def test_what_a_lost_actor_brought_is_used() -> None:
     fleet = make_fleet(2, "a", "b")
     push(fleet, rollout(1, "b", 0))
-    fleet.lose("b")
+    fleet.remove("b")
     assert wanted(fleet) == {0: 4}
     push(fleet, rollout(0, "a", 0))
     assert used(fleet) == [("a", 0), ("b", 0)]
@@ -165,7 +166,7 @@ def test_what_a_lost_actor_brought_is_used() -> None:
 def test_it_says_what_it_waits_for() -> None:
     fleet = make_fleet(3, "a", "b")
     push(fleet, rollout(1, "b", 0))
-    fleet.heard(heartbeat(0, "a", "collecting", state_s=4.2), 0.0)
+    fleet.record_heartbeat(heartbeat(0, "a", "collecting", state_s=4.2), 0.0)
     assert fleet.waiting_for(0.0) == ("waiting for 2 of 3 rollouts: slot 0 collecting 4 s, slot 2 has no actor yet")
 
 

@@ -6,9 +6,9 @@ import pytest
 from samples import RUN, heartbeat, rollout
 
 from common.errors import RefusedError
-from common.wire.messages import Orders, Rollout
+from common.wire.messages import ACCEPTED, Orders
+from common.wire.rollout import Rollout
 from services.learner.scheduling.fleet import Fleet
-from services.learner.scheduling.slots import ACCEPTED
 
 
 def make_fleet(slots: int, *incarnations: str) -> Fleet:
@@ -17,7 +17,7 @@ def make_fleet(slots: int, *incarnations: str) -> Fleet:
     fleet.begin(0)
     for number, incarnation in enumerate(incarnations):
         fleet.join(incarnation, "native", 0.0)
-        fleet.heard(heartbeat(number, incarnation), 0.0)
+        fleet.record_heartbeat(heartbeat(number, incarnation), 0.0)
     return fleet
 
 
@@ -34,7 +34,7 @@ def orders(fleet: Fleet) -> Orders:
 def returned(fleet: Fleet, slot: int, incarnation: str) -> None:
     """A new actor in that slot, still compiling."""
     assert fleet.join(incarnation, "native", 0.0).number == slot
-    fleet.heard(heartbeat(slot, incarnation, "compiling"), 0.0)
+    fleet.record_heartbeat(heartbeat(slot, incarnation, "compiling"), 0.0)
 
 
 # -- joining and leaving -----------------------------------------------------------------------------------
@@ -44,8 +44,8 @@ def test_the_lowest_free_slot_is_given_out() -> None:
     """Actors get slots 0, 1, 2 in the order they come; one that comes later gets the lowest that was freed."""
     fleet = Fleet(RUN, 3)
     assert [fleet.join(name, "native", 0.0).number for name in "abc"] == [0, 1, 2]
-    fleet.lose("c")
-    fleet.lose("a")
+    fleet.remove("c")
+    fleet.remove("a")
     assert fleet.join("d", "native", 0.0).number == 0
     assert fleet.join("e", "native", 0.0).number == 2
 
@@ -71,7 +71,7 @@ def test_generations_count_how_often_a_slot_was_given_out() -> None:
     fleet = make_fleet(2, "a", "b")
     generations = []
     for old, new in (("a", "c"), ("c", "d")):
-        fleet.lose(old)
+        fleet.remove(old)
         slot = fleet.join(new, "native", 0.0)
         assert slot.member is not None
         generations.append((slot.number, slot.member.generation))
@@ -82,8 +82,8 @@ def test_generations_count_how_often_a_slot_was_given_out() -> None:
 def test_an_incarnation_that_lost_its_slot_does_not_come_back() -> None:
     """A name is good for one life: else a rollout of the first one could be counted again in the second."""
     fleet = make_fleet(1, "a")
-    fleet.lose("a")
-    with pytest.raises(RefusedError, match="'a' was here before and has lost its slot; join under a new name"):
+    fleet.remove("a")
+    with pytest.raises(RefusedError, match="'a' has lost its slot; join as another incarnation"):
         fleet.join("a", "native", 0.0)
     assert fleet.join("b", "native", 0.0).number == 0
 
@@ -91,11 +91,11 @@ def test_an_incarnation_that_lost_its_slot_does_not_come_back() -> None:
 def test_losing_frees_the_slot_once() -> None:
     """Losing an actor names its slot; losing it again, or one that was never here, does nothing."""
     fleet = make_fleet(2, "a", "b")
-    lost = fleet.lose("b")
+    lost = fleet.remove("b")
     assert lost is not None
     assert (lost.number, lost.member) == (1, None)
-    assert fleet.lose("b") is None
-    assert fleet.lose("stranger") is None
+    assert fleet.remove("b") is None
+    assert fleet.remove("stranger") is None
     assert fleet.counts.lost == 1
     assert [number for number, _ in fleet.members()] == [0]
 
@@ -105,8 +105,8 @@ def test_silent_actors() -> None:
     fleet = Fleet(RUN, 3)
     fleet.join("a", "native", 100.0)
     fleet.join("b", "native", 100.0)
-    fleet.heard(heartbeat(1, "b"), 125.0)
-    fleet.heard(heartbeat(0, "stranger"), 130.0)  # not a's
+    fleet.record_heartbeat(heartbeat(1, "b"), 125.0)
+    fleet.record_heartbeat(heartbeat(0, "stranger"), 130.0)  # not a's
     # a: last heard at 100, b at 125
     assert fleet.silent(130.0, 30.0) == []
     assert fleet.silent(130.5, 30.0) == ["a"]
@@ -117,12 +117,12 @@ def test_heartbeats_tell_when_orders_change() -> None:
     """Only becoming ready (or compiling again) changes orders; a beat of a stranger or of another slot is ignored."""
     fleet = Fleet(RUN, 2)
     fleet.join("a", "native", 0.0)
-    assert not fleet.heard(heartbeat(0, "a", "compiling"), 1.0)
-    assert fleet.heard(heartbeat(0, "a", "waiting"), 2.0)
-    assert not fleet.heard(heartbeat(0, "a", "collecting", version=4, env_steps=600, steps_per_s=50.0), 3.0)
-    assert not fleet.heard(heartbeat(0, "stranger", "compiling"), 4.0)
-    assert not fleet.heard(heartbeat(1, "a", "compiling"), 4.0)
-    assert not fleet.heard(heartbeat(99, "a", "compiling"), 4.0)
+    assert not fleet.record_heartbeat(heartbeat(0, "a", "compiling"), 1.0)
+    assert fleet.record_heartbeat(heartbeat(0, "a", "waiting"), 2.0)
+    assert not fleet.record_heartbeat(heartbeat(0, "a", "collecting", version=4, env_steps=600, steps_per_s=50.0), 3.0)
+    assert not fleet.record_heartbeat(heartbeat(0, "stranger", "compiling"), 4.0)
+    assert not fleet.record_heartbeat(heartbeat(1, "a", "compiling"), 4.0)
+    assert not fleet.record_heartbeat(heartbeat(99, "a", "compiling"), 4.0)
     ((_, member),) = fleet.members()
     assert (member.state, member.heard_s, member.version) == ("collecting", 3.0, 4)
     assert (member.env_steps, member.steps_per_s) == (600, 50.0)
@@ -134,7 +134,7 @@ def test_holds() -> None:
     assert fleet.holds(0, "a")
     assert not fleet.holds(1, "a")
     assert not fleet.holds(5, "a")
-    fleet.lose("a")
+    fleet.remove("a")
     assert not fleet.holds(0, "a")
 
 
@@ -160,10 +160,11 @@ def test_the_order_of_a_batch_is_slot_then_generation_then_seq() -> None:
     fleet = make_fleet(4, "a", "z", "c", "d")
     # z delivers its first rollout and is lost; b takes slot 1 over and delivers two; slots 2 and 3 are lost.
     push(fleet, rollout(1, "z"))
-    fleet.lose("z")
-    fleet.lose("c")
-    fleet.lose("d")
+    fleet.remove("z")
+    fleet.remove("c")
+    fleet.remove("d")
     returned(fleet, 1, "b")
+    fleet.record_heartbeat(heartbeat(1, "b"), 0.0)  # ready: the work of slots 2 and 3 is divided among a and b
     for made in (rollout(1, "b", 0, generation=1), rollout(1, "b", 1, generation=1), rollout(0, "a", 0)):
         push(fleet, made)
     taken = fleet.take()
@@ -177,7 +178,7 @@ def test_the_generation_is_the_one_that_was_given() -> None:
     fleet = make_fleet(1, "a")
     answer = fleet.admit(rollout(0, "a", generation=1))
     assert answer is not None
-    assert (answer.status, answer.reason) == ("refused", "generation: 'a' has generation 0, not 1")
+    assert (answer.status, answer.slug, answer.text) == ("refused", "generation", "'a' has generation 0, not 1")
     assert fleet.counts.refused == {"generation": 1}
 
 
@@ -188,8 +189,8 @@ def test_stale_rollouts_are_refused_and_counted() -> None:
     old, new = fleet.admit(rollout(policy_version=4)), fleet.admit(rollout(policy_version=6))
     assert old is not None
     assert new is not None
-    assert (old.status, old.reason) == ("refused", "stale: made with policy 4; policy 5 is wanted")
-    assert (new.status, new.reason) == ("refused", "stale: made with policy 6; policy 5 is wanted")
+    assert (old.status, old.slug, old.text) == ("refused", "stale", "made with policy 4; policy 5 is wanted")
+    assert (new.status, new.slug, new.text) == ("refused", "stale", "made with policy 6; policy 5 is wanted")
     assert fleet.counts.refused == {"stale": 2}
 
 
@@ -200,7 +201,7 @@ def test_surplus_rollouts_are_refused_and_counted() -> None:
     assert fleet.admit(rollout(1, "b", 0)) is None
     extra = fleet.admit(rollout(0, "a", 1))
     assert extra is not None
-    assert (extra.status, extra.reason) == ("refused", "surplus: policy 0 has all the rollouts it needs")
+    assert (extra.status, extra.slug, extra.text) == ("refused", "surplus", "policy 0 has all the rollouts it needs")
     assert fleet.counts.refused == {"surplus": 1}
 
 
@@ -209,19 +210,19 @@ def test_a_gap_is_refused_and_counted() -> None:
     fleet = make_fleet(2, "a", "b")
     answer = fleet.admit(rollout(0, "a", 1))
     assert answer is not None
-    assert (answer.status, answer.reason) == ("refused", "gap: rollout 1 came where 0 is next")
+    assert (answer.status, answer.slug, answer.text) == ("refused", "gap", "rollout 1 came where 0 is next")
     assert fleet.counts.refused == {"gap": 1}
 
 
 def test_rollouts_of_who_holds_no_slot_are_refused_and_counted() -> None:
     """A stranger, an actor that was lost, one that names another's slot and one beyond the slots are told to join."""
     fleet = make_fleet(2, "a", "b")
-    fleet.lose("b")
+    fleet.remove("b")
     for slot, incarnation in ((0, "stranger"), (1, "b"), (1, "a"), (7, "a")):
         answer = fleet.admit(rollout(slot, incarnation))
         assert answer is not None
         assert answer.status == "refused"
-        assert answer.reason == f"incarnation: slot {slot} is not held by {incarnation!r}; join again"
+        assert (answer.slug, answer.text) == ("incarnation", f"slot {slot} is not held by {incarnation!r}; join again")
     assert fleet.counts.refused == {"incarnation": 4}
 
 
@@ -230,7 +231,7 @@ def test_rollouts_of_another_run_are_refused_and_counted() -> None:
     fleet = make_fleet(1, "a")
     answer = fleet.admit(rollout(run="run-2"))
     assert answer is not None
-    assert (answer.status, answer.reason) == ("refused", "run: this learner runs 'run-1', not 'run-2'")
+    assert (answer.status, answer.slug, answer.text) == ("refused", "run", "this learner runs 'run-1', not 'run-2'")
     assert fleet.counts.refused == {"run": 1}
 
 
@@ -271,8 +272,8 @@ def test_rollouts_of_a_lost_actor_stay_good() -> None:
     push(fleet, rollout(0, "a"))
     under_way = rollout(1, "b")
     assert fleet.admit(under_way) is None
-    fleet.lose("a")
-    fleet.lose("b")
+    fleet.remove("a")
+    fleet.remove("b")
     fleet.accept(under_way)
     taken = fleet.take()
     assert taken is not None
@@ -309,18 +310,18 @@ def test_a_first_actor_that_still_compiles_is_waited_for() -> None:
 def test_a_slot_never_held_is_left_to_the_others_once_excused() -> None:
     """Slots 1 and 2 of 3 have had no actor when the wait ends: slot 0 makes 3 rollouts. Excused once, told once."""
     fleet = make_fleet(3, "a")
-    assert fleet.excuse() == [1, 2]
+    assert fleet.release_reserved() == [1, 2]
     assert orders(fleet).collect == {0: 3}
-    assert fleet.excuse() == []
+    assert fleet.release_reserved() == []
 
 
 def test_one_that_comes_late_is_used_when_it_is_ready() -> None:
     """Nobody waits for it to compile; then the work is shared: 2 for slot 0, which also does slot 2's, 1 for slot 1."""
     fleet = make_fleet(3, "a")
-    fleet.excuse()
+    fleet.release_reserved()
     returned(fleet, 1, "b")
     assert orders(fleet).collect == {0: 3, 1: 1}
-    fleet.heard(heartbeat(1, "b"), 0.0)
+    fleet.record_heartbeat(heartbeat(1, "b"), 0.0)
     assert orders(fleet).collect == {0: 2, 1: 1}
 
 
@@ -328,7 +329,7 @@ def test_an_actor_that_came_in_time_is_not_excused() -> None:
     """It holds its slot and still compiles when the wait ends: its first rollout is waited for."""
     fleet = make_fleet(2, "a")
     fleet.join("b", "native", 0.0)
-    assert fleet.excuse() == []
+    assert fleet.release_reserved() == []
     assert orders(fleet).collect == {0: 1, 1: 1}
 
 
@@ -336,7 +337,7 @@ def test_the_work_of_a_lost_actor_is_handed_to_the_others() -> None:
     """Orphaned slots are shared out in turn, beginning with the lowest slot that has an actor."""
     fleet = make_fleet(5, *"abcde")
     for gone in "bde":  # slots 1, 3 and 4: one each for slots 0 and 2, then slot 0 again
-        fleet.lose(gone)
+        fleet.remove(gone)
     assert orders(fleet).collect == {0: 3, 2: 2}
 
 
@@ -344,7 +345,7 @@ def test_the_work_of_a_slot_that_has_delivered_is_not_handed_on() -> None:
     """A slot lost after its rollout came is complete for this version, and orphaned for the next."""
     fleet = make_fleet(2, "a", "b")
     push(fleet, rollout(1, "b"))
-    fleet.lose("b")
+    fleet.remove("b")
     assert orders(fleet).collect == {0: 1}
     push(fleet, rollout(0, "a"))
     fleet.begin(1)
@@ -354,11 +355,11 @@ def test_the_work_of_a_slot_that_has_delivered_is_not_handed_on() -> None:
 def test_a_returning_actor_gets_its_work_back_when_it_is_ready() -> None:
     """While an actor that took over a lost slot compiles, the others go on doing its work."""
     fleet = make_fleet(2, "a", "b")
-    fleet.lose("b")
+    fleet.remove("b")
     assert orders(fleet).collect == {0: 2}
     returned(fleet, 1, "c")
     assert orders(fleet).collect[0] == 2
-    assert fleet.heard(heartbeat(1, "c", "waiting"), 0.0)
+    assert fleet.record_heartbeat(heartbeat(1, "c", "waiting"), 0.0)
     assert orders(fleet).collect == {0: 1, 1: 1}
 
 
@@ -366,10 +367,10 @@ def test_with_nobody_left_the_first_to_return_does_all_the_work() -> None:
     """A run whose actors all went goes on with the first that is ready again."""
     fleet = make_fleet(3, *"abc")
     for gone in "abc":
-        fleet.lose(gone)
+        fleet.remove(gone)
     assert orders(fleet).collect == {}
     returned(fleet, 0, "d")
-    fleet.heard(heartbeat(0, "d", "waiting"), 0.0)
+    fleet.record_heartbeat(heartbeat(0, "d", "waiting"), 0.0)
     assert orders(fleet).collect == {0: 3}
 
 
@@ -380,7 +381,7 @@ def test_the_last_version_needs_no_rollouts() -> None:
     assert orders(fleet).collect == {0: 0, 1: 0}
     answer = fleet.admit(rollout(policy_version=9))
     assert answer is not None
-    assert answer.reason.startswith("surplus: ")
+    assert answer.slug == "surplus"
 
 
 def test_orders_while_evaluating() -> None:
@@ -389,8 +390,8 @@ def test_orders_while_evaluating() -> None:
     fleet.begin(9, collect=False)
     for name in "abc":
         fleet.join(name, "native", 0.0)
-    fleet.heard(heartbeat(1, "b"), 0.0)
-    fleet.heard(heartbeat(2, "c"), 0.0)
+    fleet.record_heartbeat(heartbeat(1, "b"), 0.0)
+    fleet.record_heartbeat(heartbeat(2, "c"), 0.0)
     fleet.evaluate(64)
     said = orders(fleet)
     assert (said.version, said.collect, said.evaluate, said.finished) == (9, {0: 0, 1: 0, 2: 0}, {1: 64}, False)
@@ -401,13 +402,13 @@ def test_a_lost_evaluator_is_replaced() -> None:
     fleet = make_fleet(2, "a", "b")
     fleet.evaluate(8)
     assert orders(fleet).evaluate == {0: 8}
-    fleet.lose("a")
+    fleet.remove("a")
     assert orders(fleet).evaluate == {1: 8}
-    fleet.lose("b")
+    fleet.remove("b")
     assert orders(fleet).evaluate == {}
     returned(fleet, 0, "c")
     assert orders(fleet).evaluate == {}
-    fleet.heard(heartbeat(0, "c", "waiting"), 0.0)
+    fleet.record_heartbeat(heartbeat(0, "c", "waiting"), 0.0)
     assert orders(fleet).evaluate == {0: 8}
 
 
@@ -416,7 +417,7 @@ def test_orders_name_every_slot_that_is_held() -> None:
     fleet = make_fleet(3, "a", "b")
     fleet.begin(9, collect=False)
     assert set(orders(fleet).collect) == {0, 1}
-    fleet.lose("a")
+    fleet.remove("a")
     assert set(orders(fleet).collect) == {1}
 
 
@@ -434,8 +435,44 @@ def test_what_the_run_waits_for() -> None:
     """The sentence names every slot without a rollout, and why there is none."""
     fleet = make_fleet(4, "a", "b", "c")
     push(fleet, rollout(0, "a"))
-    fleet.heard(heartbeat(1, "b", "collecting", state_s=12.4), 0.0)
-    fleet.lose("c")
+    fleet.record_heartbeat(heartbeat(1, "b", "collecting", state_s=12.4), 0.0)
+    fleet.remove("c")
     assert fleet.waiting_for(0.0) == (
         "waiting for 3 of 4 rollouts: slot 1 collecting 12 s, slot 2 has lost its actor, slot 3 has no actor yet"
     )
+
+
+def test_an_actor_cannot_supply_the_whole_batch() -> None:
+    """Of two slots each is to bring one: a second rollout of slot 0 is surplus, and slot 1's is used."""
+    fleet = make_fleet(2, "a", "b")
+    push(fleet, rollout(0, "a", 0))
+    answer = fleet.admit(rollout(0, "a", 1))
+    assert answer is not None
+    assert (answer.status, answer.slug, answer.text) == (
+        "refused",
+        "surplus",
+        "policy 0 needs 1 of slot 0, and has as many",
+    )
+    push(fleet, rollout(1, "b", 0))
+    taken = fleet.take()
+    assert taken is not None
+    assert [made.slot for made in taken] == [0, 1]
+
+
+def test_pending_rollouts_count_against_the_quota() -> None:
+    """Also a rollout that is still being logged: two that are pushed at once are one too many."""
+    fleet = make_fleet(2, "a", "b")
+    assert fleet.admit(rollout(0, "a", 0)) is None
+    answer = fleet.admit(rollout(0, "a", 1))
+    assert answer is not None
+    assert answer.slug == "surplus"
+
+
+def test_a_refused_surplus_leaves_no_trace() -> None:
+    """The number of the refused rollout is still the next: the actor goes on with the next version."""
+    fleet = make_fleet(2, "a", "b")
+    push(fleet, rollout(0, "a", 0))
+    assert fleet.admit(rollout(0, "a", 1)) is not None
+    push(fleet, rollout(1, "b", 0))
+    fleet.begin(1)
+    assert fleet.admit(rollout(0, "a", 1, 1)) is None

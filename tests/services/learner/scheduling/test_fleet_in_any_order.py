@@ -11,7 +11,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from samples import RUN, heartbeat, rollout
 
 from common.errors import RefusedError
-from common.wire.messages import Orders, Rollout
+from common.wire.messages import Orders
+from common.wire.rollout import Rollout
 from services.learner.scheduling.fleet import Fleet
 
 BLANK = rollout()
@@ -87,7 +88,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
     @rule(data=st.data())
     def lose(self, data: st.DataObject) -> None:
         name = data.draw(st.sampled_from(sorted(self.present)))
-        slot = self.fleet.lose(name)
+        slot = self.fleet.remove(name)
         assert slot is not None
         assert slot.number == self.present[name]
         self.gone.append((name, self.present.pop(name)))
@@ -96,7 +97,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
     @rule(data=st.data(), state=st.sampled_from(STATES))
     def heartbeat(self, data: st.DataObject, state: str) -> None:
         name, slot = data.draw(st.sampled_from([*sorted(self.present.items()), *self.gone]))
-        changed = self.fleet.heard(heartbeat(slot, name, state), 0.0)
+        changed = self.fleet.record_heartbeat(heartbeat(slot, name, state), 0.0)
         assert name in self.present or not changed
 
     @precondition(lambda self: self.present)
@@ -142,7 +143,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
 
     @rule()
     def excuse_who_never_came(self) -> None:
-        self.excused |= set(self.fleet.excuse())
+        self.excused |= set(self.fleet.release_reserved())
         assert all(count or slot in self.excused for slot, count in enumerate(self.given))
 
     @rule()
@@ -155,7 +156,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
         for made in list(self.under_way):
             self.log(made)
         for name, slot in self.present.items():
-            self.fleet.heard(heartbeat(slot, name, "waiting"), 0.0)
+            self.fleet.record_heartbeat(heartbeat(slot, name, "waiting"), 0.0)
         collect = orders(self.fleet).collect
         assert set(collect) == set(self.present.values())
         for name, slot in self.present.items():
@@ -163,7 +164,7 @@ class AnyOrderOfThings(RuleBasedStateMachine):
                 made = numbered(slot, name, self.admitted[name], self.version, self.generation[name])
                 answer = self.fleet.admit(made)
                 if answer is not None:
-                    assert answer.reason.startswith("surplus")
+                    assert answer.slug == "surplus"
                     break
                 self.note_admitted(name, made)
                 self.log(made)

@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 from samples import RUN, heartbeat, rollout
 
-from common.wire.messages import Rollout
+from common.wire.messages import ACCEPTED
+from common.wire.rollout import Rollout
 from services.learner.scheduling.fleet import Fleet
-from services.learner.scheduling.slots import ACCEPTED, Start
+from services.learner.scheduling.slots import Start
 
 STARTS = (Start(0, 5, b"environments of slot 0"), Start(2, 3, b"environments of slot 1"))
 
@@ -27,7 +28,7 @@ def resumed(logged: list[Rollout] | None = None) -> Fleet:
     fleet.begin(10, logged=[made(0, "old", 5), made(1, "old", 3)] if logged is None else logged)
     for slot, incarnation in enumerate("ab"):
         fleet.join(incarnation, "native", 0.0)
-        fleet.heard(heartbeat(slot, incarnation), 0.0)
+        fleet.record_heartbeat(heartbeat(slot, incarnation), 0.0)
     return fleet
 
 
@@ -49,7 +50,7 @@ def test_a_slot_that_is_resumed_is_waited_for() -> None:
     fleet = Fleet(RUN, 2, STARTS)
     fleet.begin(10)
     fleet.join("a", "native", 0.0)
-    fleet.heard(heartbeat(0, "a"), 0.0)
+    fleet.record_heartbeat(heartbeat(0, "a"), 0.0)
     assert fleet.orders(digest="d", size=7, t_ns=3).collect == {0: 1}
     assert fleet.waiting_for(0.0).endswith("slot 1 has no actor yet")
 
@@ -57,12 +58,12 @@ def test_a_slot_that_is_resumed_is_waited_for() -> None:
 def test_who_leaves_before_a_rollout_changes_nothing() -> None:
     """The next one starts from the same environments; after a rollout it starts as the next generation."""
     fleet = resumed([])
-    fleet.lose("b")
+    fleet.remove("b")
     assert fleet.join("c", "native", 0.0).number == 1
     assert fleet.starts_from(1) == b"environments of slot 1"
     push(fleet, made(1, "c", 3))
     assert fleet.starts_from(1) is None
-    fleet.lose("c")
+    fleet.remove("c")
     fleet.join("d", "native", 0.0)
     assert [(member.generation, member.next_seq) for _, member in fleet.members()] == [(0, 5), (3, 0)]
 
@@ -102,14 +103,14 @@ def test_a_difference_is_a_departure() -> None:
     assert fleet.divergence.startswith("rollout 5 of slot 0, version 10: reward[0, 0] is ")
     answer = fleet.admit(made(1, "b", 3))
     assert answer is not None
-    assert answer.reason.startswith("stale: ")
+    assert answer.slug == "stale"
 
 
 def test_a_loss_while_acting_again_is_a_departure() -> None:
     """A successor begins with new environments, and would not make what is logged."""
     fleet = resumed()
     fleet.admit(made(0, "a", 5))
-    fleet.lose("a")
+    fleet.remove("a")
     assert fleet.divergence == "slot 0 lost its actor before all was made again"
     # It stays one as long as there is something to be made again.
     fleet.begin(11, logged=[made(0, "old", 6, 11), made(1, "old", 4, 11)])
@@ -119,7 +120,7 @@ def test_a_loss_while_acting_again_is_a_departure() -> None:
     # Later it is an ordinary loss.
     later = resumed([])
     push(later, made(0, "a", 5))
-    later.lose("a")
+    later.remove("a")
     assert later.divergence is None
 
 
@@ -146,21 +147,21 @@ def test_settled_rollouts_are_not_made_again() -> None:
     fleet.begin(10, settled=[old])
     for slot, incarnation in enumerate("ab"):
         fleet.join(incarnation, "native", 0.0)
-        fleet.heard(heartbeat(slot, incarnation), 0.0)
+        fleet.record_heartbeat(heartbeat(slot, incarnation), 0.0)
     assert fleet.orders(digest="d", size=7, t_ns=3).collect == {0: 0, 1: 1}
     push(fleet, dataclasses.replace(rollout(1, "b", 0, 10), generation=3))
     taken = fleet.take()
     assert taken is not None
-    assert [one.place for one in taken] == [(0, 0, 5), (1, 3, 0)]
+    assert [one.id for one in taken] == [(0, 0, 5), (1, 3, 0)]
 
 
 def test_while_nothing_is_collected_nothing_is_taken() -> None:
     """The log is gone through without the actors: what one sends is of no use."""
     fleet = resumed()
     fleet.admit(made(0, "a", 5))
-    fleet.lose("a")
+    fleet.remove("a")
     fleet.start_over((Start(1), Start(3)), [], collect=False)
     fleet.join("c", "native", 0.0)
     answer = fleet.admit(dataclasses.replace(rollout(0, "c", 0, 10), generation=1))
     assert answer is not None
-    assert answer.reason.startswith("surplus: ")
+    assert answer.slug == "surplus"

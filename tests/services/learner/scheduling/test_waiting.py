@@ -14,7 +14,7 @@ def fleet() -> Fleet:
     fleet = Fleet(RUN, 2)
     fleet.begin(0)
     fleet.join("a", "native", 0.0)
-    fleet.heard(heartbeat(0, "a", "compiling", state_s=4.0), 10.0)
+    fleet.record_heartbeat(heartbeat(0, "a", "compiling", state_s=4.0), 10.0)
     return fleet
 
 

@@ -9,7 +9,7 @@ import pytest
 from samples import rollout, settings
 
 from common.errors import NumericsError
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from services.learner.training.sampling import sampling_problem
 from services.learner.training.trainer import Trainer
 
