@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from common.errors import ReskpnError
+from common.output import say
 from reskpn.commands.command import Command, refuse_unknown_options
 
 COMMANDS = {
@@ -46,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         refuse_unknown_options(unknown, given.parser)
         code: int = command.run(given)
     except ReskpnError as error:
-        print(f"reskpn {given.command}: {error}", file=sys.stderr)
+        say(f"reskpn {given.command}: {error}", sys.stderr)
         return error.exit_code
     return code
 

@@ -6,6 +6,7 @@ import argparse
 
 from common.config.faults import PREFIX
 from common.config.sources import load
+from common.output import say
 from reskpn.commands.command import EXIT_CODES, Command
 from reskpn.commands.connection import add_worker_options, over
 
@@ -52,7 +53,7 @@ def run(given: argparse.Namespace) -> int:
             connect_timeout_s=given.connect_timeout,
             rejoin_timeout_s=given.rejoin_timeout,
             stop=stop,
-            say=lambda text: print(text, flush=True),
+            say=say,
             state_file=given.state_file,
         )
 

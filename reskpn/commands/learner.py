@@ -7,6 +7,7 @@ from pathlib import Path
 
 from common.config.effects import settings_without_effect
 from common.config.settings import RunSettings
+from common.output import say
 from reskpn.commands.command import Command
 from reskpn.commands.resuming import AUTO, lock_run, notify_pending_actors, run_to_resume, settings_to_resume
 from reskpn.commands.settings_options import add_settings, settings_epilog, settings_given, settings_given_over
@@ -48,7 +49,7 @@ def run(given: argparse.Namespace) -> int:
 
 def _print_effects(settings: RunSettings) -> None:
     if note := settings_without_effect(settings):
-        print(note, flush=True)
+        say(note)
 
 
 COMMAND = Command(add_options, run, settings_epilog())

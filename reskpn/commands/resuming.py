@@ -10,6 +10,7 @@ from common.config.settings import RunSettings
 from common.log.lock import LogLock
 from common.log.repair import refuse_links
 from common.log.segments import LOG_DIRECTORY
+from common.output import say
 from common.runs.directory import RUNS
 from common.runs.resumed_settings import (
     holds_run,
@@ -63,7 +64,7 @@ def close_log(run_dir: Path, lock: LogLock) -> int:
 
     if read_interrupted(run_dir).shutdown_pending:
         for note in repair_log(run_dir, lock):
-            print(note, flush=True)
+            say(note)
     return 0
 
 
@@ -79,7 +80,7 @@ def notify_pending_actors(
     found = read_interrupted(run_dir)
     if found.shutdown_pending:
         transport = resumed_settings(found, load).transport
-        send_shutdown_notice(run_dir, transport, stop=stop, say=lambda text: print(text, flush=True), lock=lock)
+        send_shutdown_notice(run_dir, transport, stop=stop, say=say, lock=lock)
     return 0
 
 

@@ -6,6 +6,7 @@ import argparse
 
 from common.config.faults import PREFIX
 from common.config.sources import load
+from common.output import say
 from reskpn.commands.command import EXIT_CODES, Command
 from reskpn.commands.connection import add_connection, over
 
@@ -37,7 +38,7 @@ def run(given: argparse.Namespace) -> int:
     if given.insecure:
         transport = transport.model_copy(update={"insecure": True})
     with stopping(supervised=False) as stop:
-        return run_router(transport, stop=stop, say=lambda text: print(text, flush=True))
+        return run_router(transport, stop=stop, say=say)
 
 
 COMMAND = Command(add_options, run, EPILOG)

@@ -11,6 +11,7 @@ from pathlib import Path
 from common.config.settings import RunSettings
 from common.cores import usable_cores
 from common.errors import PhysicsError, ProcessError, RefusedError, SettingsError
+from common.output import say
 from reskpn.supervision import processes
 
 QUICK_S = 30.0
@@ -94,4 +95,4 @@ class ActorSupervisor:
                 f"actor {actor.number} ended with {how} and is not restarted; the end of its log file ({log_file}):\n"
                 + "\n".join(f"  {line}" for line in last)
             )
-        print(f"actor {actor.number} ended with {how}; restarting it", file=sys.stderr, flush=True)
+        say(f"actor {actor.number} ended with {how}; restarting it", sys.stderr)

@@ -11,18 +11,24 @@ from contextlib import contextmanager
 
 @contextmanager
 def stopping(*, supervised: bool) -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set; a second signal ends the process at once.
+    """An event that SIGINT, SIGTERM and SIGHUP set; a second SIGINT or SIGTERM ends the process at once.
+
+    SIGHUP, which a terminal sends when it is closed, has no effect where it is ignored (`nohup`).
 
     A supervised process also stops when its standard input ends, which happens however its supervisor ends.
     """
     stop = threading.Event()
 
     def on_signal(number: int, _frame: object) -> None:
-        if stop.is_set():
+        # A terminal that closes may send SIGHUP twice: the kernel, and the shell to its jobs.
+        if stop.is_set() and number != signal.SIGHUP:
             os._exit(128 + number)
         stop.set()
 
-    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, on_signal) for number in numbers}
     if supervised:
         threading.Thread(target=_wait_for_end, args=(stop,), name="supervisor-watch", daemon=True).start()
     try:

@@ -11,6 +11,7 @@ from pathlib import Path
 from common.config.settings import RunSettings
 from common.errors import SettingsError
 from common.log.lock import LogLock
+from common.output import say
 from common.runs.directory import claim_run_dir, default_run_dir
 from common.wire.endpoint import free_port
 from reskpn.supervision import processes
@@ -55,10 +56,9 @@ def train(settings: RunSettings, *, resume: LogLock | None = None) -> int:
             time.sleep(POLL_S)
         if learner.returncode >= 0:
             return learner.returncode
-        print(
+        say(
             f"the learner was ended by signal {-learner.returncode}; continue with: reskpn train --resume {run_dir}",
-            file=sys.stderr,
-            flush=True,
+            sys.stderr,
         )
         return 128 - learner.returncode
 

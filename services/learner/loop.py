@@ -162,9 +162,9 @@ class TrainingLoop:
             environments = self._hub.environments.kept()
             try:
                 metrics = self._trainer.update(rollouts)
-            except NumericsError:
+            except NumericsError as error:
                 self._keep_last()
-                raise
+                raise NumericsError(f"{error}. Version {self._trainer.version} is the last good one") from None
             updated_s = time.monotonic()
             snapshot = self.publish()
             published_s = time.monotonic()
@@ -197,7 +197,7 @@ class TrainingLoop:
             self._checkpoints.keep(version, self._trainer.state_arrays())
 
     def _keep_last(self) -> None:
-        """Keep policy and state of the version that no update can be made of, which is the last good one."""
+        """Keep the policy and the state of the last good version, from which no update could be made."""
         version, log = self._trainer.version, self._settings.log
         if version % log.policy_every and not self._resumed_replay.holds("/policy", version):
             arrays = self._trainer.policy_arrays()

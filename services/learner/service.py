@@ -109,7 +109,7 @@ def _run_to_its_end(
             conclude(run_dir, outlets.log, summary, None if logged else record)
             loop.draw_evaluations()
     except ReskpnError as error:
-        outlets.events.add("error", "run_failed", str(error))
+        outlets.events.log("error", "run_failed", str(error))  # the command line prints it
         raise
     finally:
         loop.dismiss()

@@ -1,9 +1,9 @@
-"""What a person sees while a run goes on: a live line on a terminal, plain lines elsewhere."""
+"""The display of a run: a live line on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
 import time
-from typing import Protocol
+from typing import IO, Protocol, cast
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -11,9 +11,17 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from common.output import Output
 from common.wire.report import Progress
 
 PLAIN_PERIOD_S = 5.0
+
+BAR_WIDTH = 36
+BESIDE_BAR = 30
+"""Characters of phase, share done and time left, with the spaces between them."""
+
+LEAST_NEEDED = ("staleness", "centres", "actors", "reward", "steps", "steps/s", "return")
+"""Numbers that a narrow terminal does without, in this order."""
 
 
 class Display(Protocol):
@@ -24,9 +32,9 @@ class Display(Protocol):
     def close(self) -> None: ...
 
 
-def make_display(title: str) -> Display:
-    """A live display on a terminal, plain lines otherwise."""
-    console = Console(highlight=False)
+def make_display(title: str, output: Output | None = None) -> Display:
+    """A live display where the output (default: standard output) is a terminal, plain lines otherwise."""
+    console = Console(file=cast(IO[str] | None, output), highlight=False)
     return LiveDisplay(console, title) if console.is_terminal else PlainDisplay(console, title)
 
 
@@ -51,7 +59,7 @@ class PlainDisplay:
         self._console.print(text, soft_wrap=True, markup=False)
 
     def close(self) -> None:
-        """Nothing to put back."""
+        """Nothing to do: there is nothing that is drawn over."""
 
 
 class LiveDisplay:
@@ -68,11 +76,15 @@ class LiveDisplay:
         done = f"{progress.env_steps / max(1, progress.total_steps):4.0%}"
         bar.add_row(
             Text(f"{progress.phase:<10}", style="bold"),
-            ProgressBar(total=progress.total_steps, completed=progress.env_steps, width=36),
+            ProgressBar(
+                total=progress.total_steps,
+                completed=progress.env_steps,
+                width=max(4, min(BAR_WIDTH, self._console.width - BESIDE_BAR)),
+            ),
             Text(done),
             Text(_duration(progress.remaining_s)),
         )
-        numbers = Text(" · ".join(f"{name} {value}" for name, value in _numbers(progress).items()), style="cyan")
+        numbers = Text(fitting(_numbers(progress), self._console.width), style="cyan")
         self._live.update(Group(bar, numbers, Text(progress.text, style="dim")))
 
     def note(self, text: str) -> None:
@@ -80,6 +92,19 @@ class LiveDisplay:
 
     def close(self) -> None:
         self._live.stop()
+
+
+def fitting(numbers: dict[str, str], width: int) -> str:
+    """As many of the numbers as fit into a line of that width, in their order, without the least needed ones."""
+    kept = dict(numbers)
+    for name in LEAST_NEEDED:
+        if len(_joined(kept)) > width:
+            kept.pop(name, None)
+    return _joined(kept)
+
+
+def _joined(numbers: dict[str, str]) -> str:
+    return " · ".join(f"{name} {value}" for name, value in numbers.items())
 
 
 def _numbers(progress: Progress) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Where a learner writes to while it runs: the log, the screen and the curves."""
+"""The outlets of a running learner: the log, the screen and the curves."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from common.errors import LogWriteError
 from common.log.lock import LogLock
 from common.log.segments import LOG_DIRECTORY
 from common.log.writer import LogWriter
+from common.output import run_output
 from common.physics.assets import model_xml
 from common.runs.directory import TENSORBOARD
 from common.runtime import hardware, software_versions, source_commit
@@ -22,23 +23,28 @@ from services.learner.reporting.scalars import Scalars
 
 
 class Events:
-    """Things that happened to the run: into the log, and onto the screen."""
+    """Writes what happened to the run to the log and to the screen."""
 
     def __init__(self, log: LogWriter, display: Display) -> None:
         self._log = log
         self._display = display
 
     def add(self, level: str, name: str, text: str) -> None:
+        """`level` is info, warning or error; `name` is a slug to filter the log by."""
         self._display.note(f"{level}: {text}" if level != "info" else text)
+        self.log(level, name, text)
+
+    def log(self, level: str, name: str, text: str) -> None:
+        """As `add`, for what the screen shows by other means."""
         try:
             self._log.write("/event", {"level": level, "name": name, "text": text})
         except LogWriteError:
-            return  # the log's own failure is what stops the run, and is reported by it
+            return  # the log reports its own failure, which also stops the run
 
 
 @dataclass(frozen=True)
 class Outlets:
-    """Open until the run is over. `failures` has what ended the log, if anything did."""
+    """Open until the run is over. `failures` has the error that ended the log, if there was one."""
 
     log: LogWriter
     display: Display
@@ -62,7 +68,8 @@ def open_outlets(
         log = stack.enter_context(_open_log(run, settings, run_dir, lock, on_log_error))
         display = make_display(
             f"ResKPN {run}: {settings.learner} on {settings.task}, {settings.updates} updates of "
-            f"{settings.batch_size:,} steps\nlistening on {settings.transport.endpoint}; files in {run_dir}"
+            f"{settings.batch_size:,} steps\nlistening on {settings.transport.endpoint}; files in {run_dir}",
+            run_output(stop.is_set),
         )
         stack.callback(display.close)
         events = Events(log, display)

@@ -91,7 +91,7 @@ def _train_return(returns: TrainingReturn) -> tuple[float | None, str | None]:
 
 def describe(summary: dict[str, Any], run_dir: Path) -> Iterator[str]:
     """The summary for a person."""
-    stopped = f"stopped early; the log is complete up to here. Go on with: reskpn train --resume {run_dir}"
+    stopped = f"stopped early; the log is complete up to here. Continue with: reskpn train --resume {run_dir}"
     state = "finished" if summary["complete"] else stopped
     speed = summary["env_steps_per_s"]
     yield f"{summary['run']}: {state}"

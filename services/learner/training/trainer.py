@@ -80,7 +80,7 @@ class Trainer:
         if broken:
             raise NumericsError(
                 f"update {self._version + 1} made the {' and the '.join(broken)} not finite; it was not applied. "
-                "The log holds the rollouts it was made from; a smaller algorithm.learning_rate or rkhs.eta may help"
+                "The log holds the rollouts it was made from; try a smaller algorithm.learning_rate or rkhs.eta"
             )
         if (problem := sampling_problem(log_std)) is not None:
             algorithm = self._settings.algorithm

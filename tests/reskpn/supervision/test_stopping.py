@@ -57,15 +57,36 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
 Start = Callable[..., "subprocess.Popen[str]"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_sets_the_event(number: signal.Signals) -> None:
-    """SIGINT as by Ctrl-C, SIGTERM as by a container's end; afterwards the handlers are the old ones."""
+    """SIGINT by Ctrl-C, SIGTERM by a container's end, SIGHUP by a closed terminal; then the old handlers are back."""
     before = signal.getsignal(number)
     with stopping(supervised=False) as stop:
         assert not stop.is_set()
         os.kill(os.getpid(), number)
         assert stop.wait(DEADLINE_S)
     assert signal.getsignal(number) is before
+
+
+def test_a_closed_terminal_may_say_so_twice() -> None:
+    """By the kernel, and by the shell: the second SIGHUP does not end the process as a second Ctrl-C would."""
+    with stopping(supervised=False) as stop:
+        for _ in range(2):
+            os.kill(os.getpid(), signal.SIGHUP)
+        assert stop.wait(DEADLINE_S)
+
+
+def test_a_hangup_that_is_ignored_stops_nothing() -> None:
+    """As under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stopping(supervised=False) as stop:
+            os.kill(os.getpid(), signal.SIGHUP)
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert stop.wait(DEADLINE_S)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_an_error_puts_the_handlers_back() -> None:

@@ -124,7 +124,7 @@ def test_the_summary_of_a_stopped_run_for_a_person(tmp_path: Path) -> None:
     summary = summarise(settings(), tmp_path, "run-1", early, None, 1.0)
     lines = list(describe(summary, tmp_path))
     assert lines[:2] == [
-        "run-1: stopped early; the log is complete up to here. Go on with: reskpn train --resume " + str(tmp_path),
+        "run-1: stopped early; the log is complete up to here. Continue with: reskpn train --resume " + str(tmp_path),
         "  0 steps in 0 updates, 1 s in all",
     ]
     assert len(lines) == 4

@@ -134,6 +134,25 @@ def test_a_live_display_before_anything_is_known() -> None:
     LiveDisplay(Console(file=io.StringIO(), force_terminal=True), "another").close()
 
 
+@pytest.mark.parametrize("width", [40, 60, 80, 100])
+def test_a_live_display_fits_its_terminal(width: int) -> None:
+    """No line is broken and no word is cut: what is least needed is left out, the update never."""
+    out = io.StringIO()
+    shown = LiveDisplay(Console(file=out, force_terminal=True, width=width, color_system=None), "the title")
+    shown.show(STATUS)
+    shown.close()
+    last = out.getvalue()[out.getvalue().rindex("training") :].splitlines()
+    assert " 12%" in last[0]
+    assert "0:44 left" in last[0]
+    assert "update 12/100" in last[1]
+    words = "update 12/100 · steps 12,000 · steps/s 2,000 · return 34.6 · reward 0.99 · staleness 0 · actors 1/2 · "
+    shown_numbers = [part.strip() for part in last[1].split("·")]
+    assert set(shown_numbers) <= {part.strip() for part in f"{words}centres 12/100".split("·")}
+    # 13 characters of update, 14 of return, 16 of steps/s: with their separators the three need 47.
+    assert ("steps/s 2,000" in shown_numbers) == (width >= 60)
+    assert ("staleness 0" in shown_numbers) == (width > 100)
+
+
 def test_no_terminal_means_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
     """Where standard output is a pipe or a file."""
     shown = make_display("the title")
