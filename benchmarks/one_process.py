@@ -19,79 +19,24 @@ from typing import Any
 from common.config.settings import RunSettings
 from common.config.sources import add_options, load
 from common.errors import ReskpnError, SettingsError
-from common.physics import engines
-from common.runtime import enable_compilation_cache
-from services.actor.collector import Collector, SlotGeneration
-from services.actor.rollouts import rollout_message
-from services.learner.reporting.statistics import Episodes
-from services.learner.training.trainer import Trainer
-from services.worker.joining import Assignment
-from services.worker.policy_reader import PolicyReader
+from reskpn.study.in_process import InProcess, Step, prepare
 
 UPDATES = 40
 WARM_UP = 3
 
 
 @dataclass(frozen=True)
-class Step:
-    """One update: the episodes that ended in its rollout, and seconds by phase.
+class Timed:
+    """What is kept of an update: a run's rollouts together would fill the memory."""
 
-    Phases: `physics` (where it can be told apart), `policy` (the rest of collecting), `learner` and `hand_over`
-    (policy to the actor's half, rollout to the learner's).
-    """
-
-    episodes: Episodes
+    return_sum: float
+    episodes: int
     seconds: dict[str, float]
 
-
-class OneProcess:
-    """One actor and the learner of a run, alternating in one process."""
-
-    def __init__(self, settings: RunSettings) -> None:
-        """Compile everything. `settings.actors` must be 1."""
-        self._assignment = Assignment("benchmark", 0, 0, "one-process", settings)
-        self._trainer = Trainer(settings)
-        self._reader = PolicyReader(settings)
-        self._collector = Collector(settings, SlotGeneration(slot=0, generation=0), self._reader)
-        self._collector.compile()
-        self._trainer.compile()
-
-    @property
-    def physics(self) -> str:
-        return self._collector.physics
-
-    def step(self) -> Step:
-        """Collect one rollout with the newest policy and update on it."""
-        began_s = time.perf_counter()
-        policy = self._reader.read(self._trainer.policy_arrays())
-        collected, timing = self._collector.collect(policy)
-        rollout = rollout_message(
-            collected, self._assignment, seq=self._collector.seq, version=self._trainer.version, timing=timing
-        )
-        self._collector.keep()
-        collected_s = time.perf_counter()
-        self._trainer.update([rollout])
-        seconds = {
-            "policy": timing["collect"],
-            "learner": time.perf_counter() - collected_s,
-            "hand_over": collected_s - began_s - sum(timing.values()),
-        }
-        if "physics" in timing:
-            seconds["physics"] = timing["physics"]
-        return Step(Episodes.of([rollout]), seconds)
-
-    def digest(self) -> str:
-        """Hex digest of the learner's state, equal to that of a service run with the same settings."""
-        return self._trainer.digest()
-
-
-def prepare() -> None:
-    """Configure JAX as in an actor. Call this before any computation.
-
-    The learner alone would leave asynchronous dispatch on; its update is as fast without, and gives the same bits.
-    """
-    enable_compilation_cache()
-    engines.require_synchronous_dispatch()
+    @classmethod
+    def of(cls, step: Step) -> Timed:
+        returns = step.rollout.episode_return
+        return cls(float(returns.sum()), len(returns), step.seconds)
 
 
 def measure(settings: RunSettings, *, warm_up: int) -> dict[str, Any]:
@@ -102,10 +47,10 @@ def measure(settings: RunSettings, *, warm_up: int) -> dict[str, Any]:
     """
     if not 0 <= warm_up < settings.updates:
         raise SettingsError(f"--warm-up {warm_up} leaves nothing of {settings.updates} updates; choose fewer")
-    work = OneProcess(settings)
-    steps = [work.step() for _ in range(warm_up)]
+    work = InProcess(settings)
+    steps = [Timed.of(work.step()) for _ in range(warm_up)]
     began_s = time.perf_counter()
-    steps += [work.step() for _ in range(settings.updates - warm_up)]
+    steps += [Timed.of(work.step()) for _ in range(settings.updates - warm_up)]
     elapsed_s = time.perf_counter() - began_s
     counted = steps[warm_up:]
     seconds = {name: sum(step.seconds[name] for step in counted) / len(counted) for name in counted[0].seconds}
@@ -121,8 +66,8 @@ def measure(settings: RunSettings, *, warm_up: int) -> dict[str, Any]:
         "env_steps_per_s": len(counted) * settings.batch_size / elapsed_s,
         "seconds": seconds | {"update": elapsed_s / len(counted)},
         "state_digest": work.digest(),
-        "return_sum": [float(step.episodes.returns.sum()) for step in steps],
-        "episodes": [len(step.episodes.returns) for step in steps],
+        "return_sum": [step.return_sum for step in steps],
+        "episodes": [step.episodes for step in steps],
     }
 
 

@@ -21,6 +21,7 @@ COMMANDS = {
     "replay": "verify a recorded run, or use its log: extract, publish, train another learner",
     "certs": "make the certificates of a run: an authority, and one for each process",
     "router": "relay messages between a learner and actors that cannot reach it, from a host that both can reach",
+    "paper": "list, run and draw the experiments of the paper and of the study",
 }
 """What `--help` says of each command. The rest is in the command's module, which takes longer to load."""
 

@@ -91,11 +91,11 @@ def default_run_dir(settings: RunSettings) -> Path:
     return RUNS / f"{settings.task}-{settings.learner}-s{settings.seed}-{stamp}"
 
 
-def write_json(path: Path, content: dict[str, Any]) -> None:
+def write_json(path: Path, content: dict[str, Any], *, indent: int | None = 2) -> None:
     """Write to a temporary file, sync it and rename it: the file is whole or absent."""
     beside = path.with_suffix(path.suffix + ".part")
     with create(beside) as file:
-        file.write(json.dumps(content, indent=2).encode() + b"\n")
+        file.write(json.dumps(content, indent=indent).encode() + b"\n")
         file.flush()
         os.fsync(file.fileno())
     beside.replace(path)

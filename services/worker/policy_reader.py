@@ -63,6 +63,10 @@ class PolicyReader:
         action = gaussians.sample(key, mean.total, mean.log_std)
         return action, gaussians.log_prob(mean.total, mean.log_std, action), 2.0 * mean.total - action
 
+    def features(self, policy: Policy, observation: Array) -> Array:
+        """The outputs of the feature network psi at raw observations [N, d], before they are scaled for the kernel."""
+        return self._act(policy, observation).features / self.networks.feature_scale
+
     def mode(self, policy: Policy, observation: Array) -> Array:
         """The deterministic actions [N, A]."""
         return self._act(policy, observation).total
