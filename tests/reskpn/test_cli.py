@@ -143,7 +143,7 @@ def test_help_of_an_actor(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        ([], "the following arguments are required: {train,learner,actor,evaluator,status,doctor,replay,certs,router}"),
+        ([], "the following arguments are required: {train,learner,actor,evaluator,status,doctor,replay,certs,router,paper}"),
         (["trian"], "invalid choice: 'trian'"),
         (["train", "--seed"], "argument --seed: expected one argument"),
         (["actor", "--physics", "quick"], "argument --physics: invalid choice: 'quick'"),
