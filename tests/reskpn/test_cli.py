@@ -29,7 +29,7 @@ from common.wire.endpoint import free_port
 from common.wire.keys import JOIN
 from common.wire.messages import JoinReply
 from common.wire.session import open_session
-from reskpn.cli import main
+from reskpn.cli import COMMANDS, main
 
 
 @pytest.fixture(autouse=True)
@@ -143,7 +143,7 @@ def test_help_of_an_actor(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        ([], "the following arguments are required: {train,learner,actor,evaluator,status,doctor,replay,certs,router,paper}"),
+        ([], f"the following arguments are required: {{{','.join(COMMANDS)}}}"),
         (["trian"], "invalid choice: 'trian'"),
         (["train", "--seed"], "argument --seed: expected one argument"),
         (["actor", "--physics", "quick"], "argument --physics: invalid choice: 'quick'"),
