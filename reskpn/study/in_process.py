@@ -15,7 +15,7 @@ from common.config.settings import RunSettings
 from common.maths.policy import Policy
 from common.physics import engines
 from common.runtime import enable_compilation_cache
-from common.wire.messages import Rollout
+from common.wire.rollout import Rollout
 from services.actor.collector import Collector, SlotGeneration
 from services.actor.rollouts import rollout_message
 from services.learner.training.trainer import Trainer
