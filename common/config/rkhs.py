@@ -59,6 +59,10 @@ class RkhsSettings(Section):
     """step size of the functional gradient (fixed)"""
     kl_target: Positive = 0.002
     """mean KL divergence of one functional step (trust-region)"""
+    agreement: bool = False
+    """multiply kl_target by the squared cosine of the gradients of two halves of the batch (rff, basis)"""
+    feature_gradient: bool = True
+    """gradients of the networks' objective flow through h into the features psi"""
     momentum: Annotated[float, Field(ge=0, lt=1)] = 0.9
     """moving average of the functional gradient"""
     shrinkage: Annotated[float, Field(ge=0, lt=1)] = 0.0
@@ -121,6 +125,12 @@ def impossibility(rkhs: RkhsSettings, batch: int, num_envs: int) -> str | None:
         return (
             f"rkhs.samples ({samples}) must be at most the {num_envs} pairs of a symmetric estimate, one for each "
             "environment (num_envs); 'batch' takes all of them"
+        )
+    if rkhs.agreement and (rkhs.step != "trust-region" or name not in ("rff", "basis") or samples < 2):
+        return (
+            f"rkhs.agreement scales kl_target by what two halves of a step's transitions have in common: it needs "
+            f"rkhs.step trust-region (given: {rkhs.step}), rkhs.representation rff or basis (given: {name}) and "
+            f"rkhs.samples of at least 2 (given: {samples})"
         )
     if rkhs.capacity is None:
         return None

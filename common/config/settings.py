@@ -207,11 +207,24 @@ class RunSettings(Section):
             raise ValueError(
                 f"num_steps ({self.num_steps}) must not be longer than an episode ({self.episode_length} steps)"
             )
-        if (reason := impossibility(self.rkhs, batch, self.num_envs)) is not None:
-            raise ValueError(reason)
-        if (reason := critics.impossibility(self.critic, batch, self.num_envs)) is not None:
+        reasons = (
+            impossibility(self.rkhs, batch, self.num_envs),
+            self._untrained_features(),
+            critics.impossibility(self.critic, batch, self.num_envs),
+        )
+        if (reason := next(filter(None, reasons), None)) is not None:
             raise ValueError(reason)
         return self
+
+    def _untrained_features(self) -> str | None:
+        """The reason why nothing would train the learner's features; None where something does."""
+        learner = LEARNERS[self.learner]
+        if self.rkhs.feature_gradient or not learner.features or learner.residual != "none":
+            return None
+        return (
+            f"rkhs.feature_gradient false leaves nothing that trains the features of {self.learner}, which has no "
+            "residual layer; choose learner reskpn, or rkhs.feature_gradient true"
+        )
 
     @property
     def batch_size(self) -> int:

@@ -18,6 +18,7 @@ from jaxtyping import Float, Key
 from common.config.rkhs import RkhsSettings
 from common.learners import Target
 from common.maths import gaussians, objectives, policy
+from common.maths.agreement import squared_cosine
 from common.maths.expansion import RepresentationState
 from common.maths.networks import Networks, Parameters
 from common.maths.policy import Mean
@@ -73,12 +74,13 @@ class FunctionalStep:
             decay=settings.momentum,
         )
         scale = self._scale(function, state, mean_at, batch, mean.log_std)
-        function = representation.apply(function, state, scale, shrinkage=settings.shrinkage)
-        return (
-            function,
-            state,
-            {"rkhs/alpha": jnp.sqrt(jnp.sum(jnp.square(alpha))), "rkhs/scale": jnp.asarray(scale)},
-        )
+        metrics = {"rkhs/alpha": jnp.sqrt(jnp.sum(jnp.square(alpha)))}
+        if settings.agreement:
+            # KL grows with the square of the step, so the target times cos^2 is the step times cos.
+            metrics["rkhs/agreement"] = squared_cosine(representation.activations(function, mean.features), alpha)
+            scale *= jnp.sqrt(metrics["rkhs/agreement"])
+        metrics["rkhs/scale"] = jnp.asarray(scale)
+        return representation.apply(function, state, scale, shrinkage=settings.shrinkage), state, metrics
 
     def _from_batch(
         self, mean_at: Callable[[Array], Mean], batch: Samples, key: Key[Array, ""]

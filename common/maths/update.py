@@ -230,7 +230,10 @@ class Update:
         """The scalar that is descended on one minibatch."""
         settings = self.algorithm
         mean = policy.evaluate(self.networks, self.representation, parameters["policy"], function, samples.obs)
-        total = jax.lax.stop_gradient(mean.total) if self.learner.objective == "none" else mean.total
+        rkhs = mean.rkhs if self.step.settings.feature_gradient else jax.lax.stop_gradient(mean.rkhs)
+        total = rkhs + mean.residual
+        if self.learner.objective == "none":
+            total = jax.lax.stop_gradient(total)
         log_ratio = gaussians.log_prob(total, mean.log_std, samples.action) - samples.log_prob
         ratio = jnp.exp(log_ratio)
         advantage = objectives.normalised(samples.advantage)
