@@ -34,6 +34,8 @@ TICK_S = 0.5
 FLUSH_S = 60.0
 """Time allowed for the log to be written before environments are kept."""
 
+ADVICE = "a smaller algorithm.learning_rate or rkhs.eta makes smaller steps; checkpoints before that version are kept"
+
 SHUTDOWN_S = 3.0
 """Time that actors are given to leave after the shutdown notice."""
 
@@ -232,6 +234,8 @@ class TrainingLoop:
         while not self._stop.is_set():
             if (rollouts := self._resumed_replay.logged_rollouts(version) or self._hub.rollouts(TICK_S)) is not None:
                 return rollouts
+            if (problem := self._hub.policy_problem()) is not None:
+                raise NumericsError(f"{problem}: {ADVICE}")
             if self._resumed_replay.fall_back_to_log(version):
                 continue
             self._tick("training" if self._trainer.version else "starting", self._hub.waiting_for())

@@ -132,6 +132,11 @@ class Hub:
             self._changed.wait_for(lambda: self._fleet.take() or self._fleet.divergence, timeout_s)
             return None if self._fleet.divergence else self._fleet.take()
 
+    def policy_problem(self) -> str | None:
+        """The reason why no actor can act by the newest policy; None while that is not certain."""
+        with self._changed:
+            return self._rollouts.policy_problem()
+
     def divergence(self) -> str | None:
         """As `Fleet.divergence`."""
         with self._changed:

@@ -19,6 +19,7 @@ from common.wire.rollout import Rollout
 from common.wire.session import Request
 from services.learner.endpoints.monitor import RunMonitor
 from services.learner.endpoints.replies import LOG_FAILED, QUEUE_FULL
+from services.learner.scheduling.failing_policy import FailingPolicy
 from services.learner.scheduling.fleet import Fleet
 
 
@@ -46,6 +47,11 @@ class RolloutHandler:
         self._fleet = fleet
         self._monitor = monitor
         self._changed = changed
+        self._failing = FailingPolicy()
+
+    def policy_problem(self) -> str | None:
+        """As `FailingPolicy.problem`, under the condition."""
+        return self._failing.problem
 
     def on_request(self, request: Request) -> None:
         """A handler of the session: never waits."""
@@ -59,11 +65,17 @@ class RolloutHandler:
         """The answer to a pushed rollout, or None where the log's thread will give it."""
         try:
             rollout = Rollout.decode(request.payload)
+        except CodecError as error:
+            return PushReply.of(error)
+        try:
             rollout.check(self._shape)
             rollout.check_magnitudes()
             if request.key != self._keys.rollout(rollout.slot):
                 raise CodecError("bad_key", f"a rollout of slot {rollout.slot} was pushed on {request.key}")
         except CodecError as error:
+            with self._changed:
+                if self._fleet.holds(rollout.slot, rollout.incarnation):
+                    self._failing.refused(error.reason, rollout, self._fleet.version)
             return PushReply.of(error)
         if self._log.pending_bytes + len(request.payload) > self._queue_bytes:
             return QUEUE_FULL
@@ -81,6 +93,7 @@ class RolloutHandler:
         """On the log's thread: the rollout is in the file."""
         with self._changed:
             self._fleet.accept(rollout)
+            self._failing.accepted(rollout, self._fleet.version)
             self._monitor.accepted(rollout.slot)
             self._changed.notify_all()
         request.reply(ACCEPTED.encode())

@@ -246,7 +246,7 @@ def test_an_actor_keeps_what_it_does_in_a_file(
         return ("", 0) if found is None else (found.state, found.version)
 
     until(lambda: kept() == ("standing by", -1))
-    learner.hub._lose("first", "is gone")
+    learner.hub._remove("first", "is gone")
     until(lambda: kept() == ("compiling", -1))
     stand_in.ready.set()
     assert learner.batch() == [0.0]
@@ -277,7 +277,7 @@ def test_an_actor_alone_does_the_work_of_two(
     until(lambda: learner.hub.actors() == 1)
     # A second actor that comes and goes, from slot 1.
     learner.hub._fleet.join("passing", "native", 0.0)
-    learner.hub._lose("passing", "is gone")
+    learner.hub._remove("passing", "is gone")
     for version in range(2):
         assert learner.batch() == [float(version)] * 2
         learner.hub.publish(snapshot(version + 1))
@@ -306,7 +306,7 @@ def test_a_rollout_that_comes_too_late_is_made_anew(
     until(lambda: learner.hub.actors() == 1)
     # A second actor that comes and goes, from slot 1: the first is asked for two rollouts once it is ready.
     learner.hub._fleet.join("passing", "native", 0.0)
-    learner.hub._lose("passing", "is gone")
+    learner.hub._remove("passing", "is gone")
     stand_in.ready.set()
     assert learner.batch() == [1.0, 1.0]
     assert [(seq, version) for _, seq, version in stand_in.made] == [(0, 0.0), (0, 1.0), (1, 1.0)]
@@ -323,7 +323,7 @@ def test_an_actor_that_was_given_up_joins_again(
     done = actors()
     assert learner.batch() == [0.0]
     ((_, member),) = learner.hub._fleet.members()
-    learner.hub._lose(member.incarnation, "sent no heartbeat")
+    learner.hub._remove(member.incarnation, "sent no heartbeat")
     learner.hub.publish(snapshot(1), collect=collect)
     if collect:
         assert learner.batch() == [1.0]
@@ -350,7 +350,7 @@ def test_an_actor_whose_slot_was_given_away_joins_again(
     learner.hub._fleet.join("other", "native", 0.0)
     learner.hub.publish(snapshot(2))
     until(lambda: any("join again; joining again" in line for line in actors.said))
-    learner.hub._lose("other", "is gone")
+    learner.hub._remove("other", "is gone")
     assert learner.batch() == [2.0]
     # Generation 1 was "other".
     assert stand_in.made[-1] == (SlotGeneration(0, 2), 0, 2.0)

@@ -183,3 +183,25 @@ def test_handlers_do_not_wait_for_each_other(
     learner.log.let_one_go()
     pusher.join(DEADLINE_S)
     assert answered.is_set()
+
+
+def test_a_policy_that_no_actor_can_act_by(
+    learners: Callable[..., Learner], actors: Callable[[], Actor], until: Callable[..., None]
+) -> None:
+    """Three actors, one after the other in the slot, whose rollouts are not finite: the hub says that it is the policy.
+
+    What somebody without the slot pushes is no evidence.
+    """
+    learner, actor = learners(actors=1, num_envs=2), actors()
+    nan = np.full((3, 2), np.nan, np.float32)
+    for name in ("a", "b", "c"):
+        for stranger in ("x", "y", "z"):
+            assert actor.push(rollout(0, stranger, reward=nan)).status == "refused"
+        assert learner.hub.policy_problem() is None
+        assert actor.join(name).accepted
+        assert actor.push(rollout(0, name, reward=nan)).status == "refused"
+        if name != "c":
+            learner.hub._remove(name, "is gone")
+    problem = learner.hub.policy_problem()
+    assert problem is not None
+    assert "3 actors in succession made rollouts with policy 0" in problem
