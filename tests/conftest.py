@@ -14,8 +14,8 @@ WITHOUT_JAX = ("log", "wire")
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
 
-# In place before `common.maths` is imported for the first time, by whichever test does so.
-install_import_hook("common.maths", "shape_checks.check")
+# In place before they are imported for the first time, by whichever test does so.
+install_import_hook(["common.kernels", "common.maths"], "shape_checks.check")
 
 
 def pytest_pycollect_makemodule(module_path: Path) -> None:

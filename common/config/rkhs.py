@@ -7,9 +7,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, field_validator
 
 from common.config.kinds import Count, Natural, NotNegative, Positive, Section, whole
+from common.kernels import KERNELS
+from common.kernels.kernel import Property
 from common.suggestions import unknown_name
 
-KERNELS = ("gaussian", "laplacian", "linear", "sigmoid")
 REPRESENTATIONS = ("exact", "nystrom", "rff", "kmp", "cluster", "basis")
 
 PAPER_CENTRES = 2441
@@ -18,11 +19,18 @@ PAPER_CENTRES = 2441
 USUAL_CAPACITY = 256
 """Landmarks, features or centres of the representations that do not grow with the run."""
 
-_ABLE = {
-    "rff": (("gaussian", "laplacian"), "random Fourier features exist only for kernels of x - y"),
-    "basis": (("gaussian",), "the orthonormal basis that is used is that of the Gaussian kernel's space"),
-    "nystrom": (("gaussian", "laplacian", "linear"), "the sigmoid kernel is not positive semi-definite"),
-    "kmp": (("gaussian", "laplacian", "linear"), "the sigmoid kernel is not positive semi-definite"),
+_NEEDS: dict[str, Property] = {
+    "rff": "spectrum",
+    "basis": "orthonormal basis",
+    "nystrom": "positive semi-definite",
+    "kmp": "positive semi-definite",
+}
+"""What a representation needs of its kernel; those that are not named work with every kernel."""
+
+_REASONS: dict[Property, str] = {
+    "spectrum": "random Fourier features exist only for kernels of x - y",
+    "orthonormal basis": "the orthonormal basis that is used is that of the Gaussian kernel's space",
+    "positive semi-definite": "it is not positive semi-definite, and there is no projection",
 }
 
 
@@ -113,11 +121,12 @@ def impossibility(rkhs: RkhsSettings, batch: int, num_envs: int) -> str | None:
     name, samples = rkhs.representation, rkhs.samples
     if samples == "batch":
         samples = num_envs if pairs else batch
-    if name in _ABLE and rkhs.kernel not in _ABLE[name][0]:
-        kernels, reason = _ABLE[name]
+    needed = _NEEDS.get(name)
+    if needed and needed not in KERNELS[rkhs.kernel].properties:
+        able = [other for other, kernel in KERNELS.items() if needed in kernel.properties]
         return (
-            f"rkhs.representation {name} cannot do the {rkhs.kernel} kernel: {reason}; choose rkhs.kernel "
-            f"{' or '.join(kernels)}, or rkhs.representation exact"
+            f"rkhs.representation {name} cannot do the {rkhs.kernel} kernel: {_REASONS[needed]}; choose rkhs.kernel "
+            f"{' or '.join(able)}, or rkhs.representation exact"
         )
     if samples > batch:
         return f"rkhs.samples ({samples}) must be at most the batch of {batch} transitions; 'batch' takes all of them"

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
+from common.kernels.kernel import RadialKernel
 from common.maths import gaussians, policy, variance
 from common.maths.functional import FunctionalStep, Metrics
 from common.maths.objectives import normalised
@@ -16,9 +17,6 @@ from common.maths.policy import Mean
 from common.maths.rkhs.representation import Function
 from common.maths.samples import Samples, probe_stride
 from common.maths.state import LearnerState
-
-WIDTHS = ("gaussian", "laplacian")
-"""Kernels of a distance, whose bandwidth can be held against the distances that occur."""
 
 MEASURED = "variance/measured"
 """1 where the other metrics of `variance/` were measured at this update, else they are 0 and mean nothing."""
@@ -56,7 +54,7 @@ class Diagnostics:
         return metrics
 
     def _of_h(self, new: LearnerState, before: Mean, after: Mean) -> Metrics:
-        representation, settings = self.step.representation, self.step.settings
+        representation = self.step.representation
         h, mu = jnp.mean(jnp.square(after.rkhs)), jnp.mean(jnp.square(after.residual))
         metrics = {
             "rkhs/centres": representation.size(new.expansion, new.representation_state),
@@ -69,12 +67,12 @@ class Diagnostics:
         }
         metrics |= {f"rkhs/{name}": value for name, value in representation.figures(new.representation_state).items()}
         half = after.features.shape[0] // 2
-        if settings.kernel in WIDTHS and half:
+        if isinstance(representation.kernel, RadialKernel) and half:
             apart = jnp.sum(jnp.square(after.features[:half] - after.features[half : 2 * half]), axis=1)
-            median = jnp.median(apart if settings.kernel == "gaussian" else jnp.sqrt(apart))
+            median = jnp.median(representation.kernel.distance(apart, jnp))
             metrics |= {
                 "rkhs/median_distance": median,
-                "rkhs/bandwidth_ratio": settings.bandwidth / (median + 1e-12),
+                "rkhs/bandwidth_ratio": representation.kernel.bandwidth / (median + 1e-12),
             }
         return metrics
 

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from common.maths.kernels import Kernel, gram
+from common.kernels import Kernel
+from common.maths.gram import gram
 
 
 @jax.tree_util.register_dataclass

@@ -6,7 +6,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from common.maths.kernels import Kernel, diagonal, gram, linear
+from common.kernels import Kernel
+from common.kernels.linear import Linear
+from common.maths.gram import diagonal, gram
 
 
 def gradient_variance(
@@ -29,7 +31,7 @@ def linear_ratio(kernel: Kernel, features: Float[Array, "G d"], coefficients: Fl
     The gradient of the linear policy at the same transitions, alpha_t s_t^T, is the one of the linear kernel.
     """
     own = gradient_variance(kernel, features, coefficients)
-    return own / (gradient_variance(linear(), features, coefficients) + jnp.finfo(own.dtype).tiny)
+    return own / (gradient_variance(Linear(), features, coefficients) + jnp.finfo(own.dtype).tiny)
 
 
 def score_variance(

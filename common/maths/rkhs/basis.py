@@ -12,7 +12,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from common.kernels.gaussian import Gaussian
 from common.maths.expansion import RepresentationState
+from common.maths.gram import product
 from common.maths.rkhs.representation import Embedding, OfFeatures
 
 
@@ -36,7 +38,7 @@ class Basis(OfFeatures):
     orthonormal directions, scaled by sqrt(d / variables) to keep distances; with as many variables as features, y = x.
     """
 
-    bandwidth: float
+    kernel: Gaussian
     variables: int
     seed: int
 
@@ -47,8 +49,8 @@ class Basis(OfFeatures):
         )
 
     def activations(self, function: Embedding, features: Float[Array, "B d"]) -> Float[Array, "B M"]:
-        y = features @ function.directions.T
-        level = jnp.exp(-jnp.sum(jnp.square(y), axis=1, keepdims=True) / self.bandwidth)
+        y = product(features, function.directions.T)
+        level = jnp.exp(-jnp.sum(jnp.square(y), axis=1, keepdims=True) / self.kernel.bandwidth)
         levels = [level]
         for degree in self._degrees(function.directions.shape[0]):
             level = level[:, degree.parent] * y[:, degree.variable] * jnp.asarray(degree.factor, y.dtype)
@@ -73,7 +75,7 @@ class Basis(OfFeatures):
                 _Degree(
                     parent=np.array([below[word[:-1]] for word in words]),
                     variable=np.array([word[-1] for word in words]),
-                    factor=np.array([np.sqrt(2.0 / self.bandwidth / word.count(word[-1])) for word in words]),
+                    factor=np.array([np.sqrt(2.0 / self.kernel.bandwidth / word.count(word[-1])) for word in words]),
                 )
             )
             below = {word: i for i, word in enumerate(words)}

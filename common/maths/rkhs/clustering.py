@@ -11,6 +11,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from common.maths.expansion import Expansion, RepresentationState
+from common.maths.gram import squared_distances
 from common.maths.rkhs.representation import OfKernels, SampleFeatures
 
 
@@ -54,7 +55,7 @@ class Cluster(OfKernels[ClusterState]):
     ) -> tuple[Expansion, ClusterState]:
         capacity, room = function.capacity, min(features.shape[0], function.capacity)
         used = jnp.arange(capacity, dtype=jnp.int32) < state.added
-        distance = jnp.where(used[None, :], _distances_squared(features, function.centres), jnp.inf)
+        distance = jnp.where(used[None, :], squared_distances(features, function.centres), jnp.inf)
         nearest = jnp.argmin(distance, axis=1).astype(jnp.int32)
         joined = jnp.min(distance, axis=1) < self.radius**2
         leaders, owner = self._lead(features, joined, room)
@@ -101,7 +102,7 @@ class Cluster(OfKernels[ClusterState]):
         )
         _, leaders, owner = jax.lax.while_loop(go_on, lead, start)
         if count > room:  # else there was room for all
-            nearest = jnp.argmin(_distances_squared(features, features[jnp.minimum(leaders, count - 1)]), axis=1)
+            nearest = jnp.argmin(squared_distances(features, features[jnp.minimum(leaders, count - 1)]), axis=1)
             owner = jnp.where(owner < 0, nearest.astype(jnp.int32), owner)
         return leaders, owner
 
@@ -116,8 +117,3 @@ def mean_age(state: ClusterState, used: Bool[Array, "M"]) -> Float[Array, ""]:
     """Mean number of updates since the used rows were added, 0 for those of the last update."""
     total = jnp.sum(jnp.where(used, state.updates - 1 - state.born, 0))
     return total / jnp.maximum(jnp.sum(used), 1)
-
-
-def _distances_squared(x: Float[Array, "n d"], y: Float[Array, "M d"]) -> Float[Array, "n M"]:
-    products = x @ y.T
-    return jnp.maximum(jnp.sum(x * x, axis=1)[:, None] + jnp.sum(y * y, axis=1)[None, :] - 2.0 * products, 0.0)

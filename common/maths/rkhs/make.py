@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from common.config.settings import RunSettings
-from common.maths.kernels import make_kernel
+from common.kernels import make_kernel
 from common.maths.rkhs.basis import Basis
 from common.maths.rkhs.clustering import Cluster
 from common.maths.rkhs.exact import Exact
@@ -24,15 +24,16 @@ def make_representation(settings: RunSettings, capacity: int | None = None) -> R
     """
     rkhs, seed = settings.rkhs, settings.seed
     size = settings.capacity if capacity is None else capacity
-    kernel = make_kernel(rkhs.kernel, rkhs.bandwidth, rkhs.slope, rkhs.offset)
+    # Settings have checked that the kernel has what the representation needs; `Any` stands for that.
+    kernel: Any = make_kernel(rkhs.kernel, rkhs)
     if size == 0:
         return Exact(kernel, 0)
     makers: dict[str, Callable[[], Representation[Any, Any]]] = {
         "exact": lambda: Exact(kernel, size),
         "nystrom": lambda: Nystrom(kernel, size, rkhs.landmarks_every),
-        "rff": lambda: Fourier(kernel, size, rkhs.kernel, rkhs.bandwidth, seed),
+        "rff": lambda: Fourier(kernel, size, seed),
         "kmp": lambda: KernelMatchingPursuit(kernel, size, rkhs.error),
         "cluster": lambda: Cluster(kernel, size, rkhs.radius),
-        "basis": lambda: Basis(kernel, size, rkhs.bandwidth, rkhs.directions, seed),
+        "basis": lambda: Basis(kernel, size, rkhs.directions, seed),
     }
     return makers[rkhs.representation]()

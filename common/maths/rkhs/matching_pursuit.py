@@ -11,7 +11,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from common.maths.expansion import Expansion
-from common.maths.kernels import diagonal, gram
+from common.maths.gram import diagonal, gram, product
 from common.maths.rkhs.clustering import ClusterState, mean_age
 from common.maths.rkhs.nystrom import inverse_root
 from common.maths.rkhs.representation import OfKernels, SampleFeatures
@@ -90,8 +90,8 @@ class KernelMatchingPursuit(OfKernels[PursuitState]):
         gradient = jnp.zeros_like(state.velocity).at[rows].add(coefficients[chosen])
         if wanted < count:
             inverse = self._inverse(function.centres, used)
-            across = gram(self.kernel, function.centres, features) @ coefficients
-            gradient = inverse @ jnp.where(used[:, None], across, 0.0)
+            across = product(gram(self.kernel, function.centres, features), coefficients)
+            gradient = product(inverse, jnp.where(used[:, None], across, 0.0))
         return function, PursuitState(
             velocity=decay * state.velocity + (1.0 - decay) * gradient,
             added=state.added + wanted,
@@ -157,7 +157,7 @@ class KernelMatchingPursuit(OfKernels[PursuitState]):
     ) -> Int[Array, "wanted"]:
         """The transitions whose part of the gradient is furthest from the span of the centres."""
         across = jnp.where(used[None, :], gram(self.kernel, features, function.centres), 0.0)
-        explained = jnp.sum((across @ self._inverse(function.centres, used)) * across, axis=1)
+        explained = jnp.sum(product(across, self._inverse(function.centres, used)) * across, axis=1)
         left = jnp.maximum(diagonal(self.kernel, features) - explained, 0.0)
         return jax.lax.top_k(left * jnp.sum(jnp.square(coefficients), axis=1), wanted)[1].astype(jnp.int32)
 
@@ -169,7 +169,7 @@ class KernelMatchingPursuit(OfKernels[PursuitState]):
         both = used[:, None] & used[None, :]
         matrix = jnp.where(both, gram(self.kernel, centres, centres), jnp.eye(centres.shape[0], dtype=centres.dtype))
         root = inverse_root(matrix)
-        return root @ root
+        return product(root, root)
 
 
 def costs(inverse: Float[Array, "M M"], targets: Float[Array, "M C"], used: Bool[Array, "M"]) -> Float[Array, "M"]:

@@ -11,7 +11,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from common.maths.expansion import Expansion, RepresentationState
-from common.maths.kernels import gram
+from common.maths.gram import gram, product
 from common.maths.rkhs.representation import OfKernels, SampleFeatures
 
 
@@ -61,7 +61,7 @@ class Nystrom(OfKernels[NystromState]):
         function, state = jax.lax.cond(
             due, self._choose, lambda h, v, _: (h, v), function, state, sample_features(self.capacity)
         )
-        gradient = _solve(state.whitening, gram(self.kernel, function.centres, features) @ coefficients)
+        gradient = _solve(state.whitening, product(gram(self.kernel, function.centres, features), coefficients))
         velocity = decay * state.velocity + (1.0 - decay) * gradient
         return function, NystromState(velocity, state.added + 1, state.whitening, state.chosen)
 
@@ -77,8 +77,8 @@ class Nystrom(OfKernels[NystromState]):
         """New landmarks, and h and v projected onto them."""
         whitening = inverse_root(gram(self.kernel, landmarks, landmarks))
         across = gram(self.kernel, landmarks, function.centres)
-        weights = _solve(whitening, across @ function.weights)
-        velocity = _solve(whitening, across @ state.velocity)
+        weights = _solve(whitening, product(across, function.weights))
+        velocity = _solve(whitening, product(across, state.velocity))
         return Expansion(landmarks, weights), NystromState(velocity, state.added, whitening, state.added)
 
 
@@ -91,9 +91,9 @@ def inverse_root(matrix: Float[Array, "M M"]) -> Float[Array, "M M"]:
     values, vectors = jnp.linalg.eigh(matrix)
     jitter = matrix.shape[0] * jnp.finfo(matrix.dtype).eps * jnp.max(jnp.abs(values))
     scale = jax.lax.rsqrt(jnp.maximum(values, 0.0) + jnp.maximum(jitter, jnp.finfo(matrix.dtype).tiny))
-    return (vectors * scale) @ vectors.T
+    return product(vectors * scale, vectors.T)
 
 
 def _solve(whitening: Float[Array, "M M"], right: Float[Array, "M A"]) -> Float[Array, "M A"]:
     """K_LL^-1 times the right side."""
-    return whitening @ (whitening @ right)
+    return product(whitening, product(whitening, right))

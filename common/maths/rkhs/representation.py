@@ -12,8 +12,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
+from common.kernels import Kernel
 from common.maths.expansion import Expansion, RepresentationState
-from common.maths.kernels import Kernel, gram
+from common.maths.gram import gram
 
 
 @jax.tree_util.register_dataclass

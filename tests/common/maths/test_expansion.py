@@ -8,8 +8,8 @@ import numpy as np
 import numpy_reference
 import pytest
 
+from common.kernels.gaussian import Gaussian
 from common.maths import expansion as expansions
-from common.maths.kernels import gaussian
 
 BANDWIDTH = 0.5
 CENTRES = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, -0.4], [0.3, 0.3]], np.float32)
@@ -17,7 +17,7 @@ ALPHAS = np.array([[1.0, -2.0], [3.0, 0.5], [-1.0, 1.0], [0.25, 4.0]], np.float3
 POINTS = np.array([[0.1, 0.2], [-0.3, 0.0], [0.5, -0.5]], np.float32)
 
 step = jax.jit(expansions.step, static_argnames="decay")
-evaluate = jax.jit(functools.partial(expansions.evaluate, kernel=gaussian(BANDWIDTH)))
+evaluate = jax.jit(functools.partial(expansions.evaluate, kernel=Gaussian(BANDWIDTH)))
 
 
 def h_at_points(expansion: expansions.Expansion) -> np.ndarray:

@@ -7,7 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from common.maths.kernels import Kernel, diagonal, gaussian, gram, laplacian, linear, make_kernel, sigmoid
+from common.config.rkhs import RkhsSettings
+from common.kernels import Kernel, make_kernel
+from common.kernels.gaussian import Gaussian
+from common.kernels.laplacian import Laplacian
+from common.kernels.linear import Linear
+from common.kernels.sigmoid import Sigmoid
+from common.maths.gram import diagonal, gram
 
 X, Y = np.array([[3.0, 4.0]]), np.array([[0.0, 0.0], [3.0, 0.0]])
 
@@ -20,10 +26,10 @@ def at(kernel: Kernel) -> np.ndarray:
     ("kernel", "expected"),
     [
         # |x - y| is 5 and 4, <x, y> is 0 and 9.
-        (gaussian(10.0), [np.exp(-25 / 10), np.exp(-16 / 10)]),
-        (laplacian(10.0), [np.exp(-5 / 10), np.exp(-4 / 10)]),
-        (linear(), [0.0, 9.0]),
-        (sigmoid(0.1, -0.5), [np.tanh(-0.5), np.tanh(0.4)]),
+        (Gaussian(10.0), [np.exp(-25 / 10), np.exp(-16 / 10)]),
+        (Laplacian(10.0), [np.exp(-5 / 10), np.exp(-4 / 10)]),
+        (Linear(), [0.0, 9.0]),
+        (Sigmoid(0.1, -0.5), [np.tanh(-0.5), np.tanh(0.4)]),
     ],
     ids=["gaussian", "laplacian", "linear", "sigmoid"],
 )
@@ -32,7 +38,7 @@ def test_formula(kernel: Kernel, expected: list[float]) -> None:
     np.testing.assert_allclose(at(kernel), [expected], rtol=1e-6)
 
 
-@pytest.mark.parametrize("kernel", [gaussian(0.5), laplacian(0.5), linear()], ids=["gaussian", "laplacian", "linear"])
+@pytest.mark.parametrize("kernel", [Gaussian(0.5), Laplacian(0.5), Linear()], ids=["gaussian", "laplacian", "linear"])
 def test_positive_semi_definite(kernel: Kernel) -> None:
     """No Gram matrix has an eigenvalue below zero: 40 points, some of them twice, in float64."""
     with jax.enable_x64(True):
@@ -45,13 +51,13 @@ def test_positive_semi_definite(kernel: Kernel) -> None:
 def test_the_sigmoid_kernel_is_not_positive_semi_definite() -> None:
     """tanh(x y - 1) at x = 0 is tanh(-1) < 0: a square that would be negative."""
     zero = jnp.zeros((1, 1), jnp.float32)
-    assert float(gram(sigmoid(1.0, -1.0), zero, zero)[0, 0]) == pytest.approx(np.tanh(-1.0))
+    assert float(gram(Sigmoid(1.0, -1.0), zero, zero)[0, 0]) == pytest.approx(np.tanh(-1.0))
     # Without offset too: for x = 1 and y = 3, K(x, x) K(y, y) = tanh(1) tanh(9) < tanh(3)^2.
     points = jnp.asarray([[1.0], [3.0]], jnp.float32)
-    assert np.linalg.det(np.asarray(gram(sigmoid(1.0, 0.0), points, points), np.float64)) < -0.1
+    assert np.linalg.det(np.asarray(gram(Sigmoid(1.0, 0.0), points, points), np.float64)) < -0.1
 
 
-@pytest.mark.parametrize("kernel", [gaussian(0.5), laplacian(0.5), linear(), sigmoid(2.0, 0.3)])
+@pytest.mark.parametrize("kernel", [Gaussian(0.5), Laplacian(0.5), Linear(), Sigmoid(2.0, 0.3)])
 def test_diagonal_is_that_of_the_gram_matrix(kernel: Kernel) -> None:
     """K(x_i, x_i) without the rest."""
     points = jnp.asarray(np.random.default_rng(2).normal(size=(5, 3)), jnp.float32)
@@ -63,7 +69,7 @@ def test_the_laplacian_has_a_gradient_at_a_centre() -> None:
     """At distance 0, where the root has none, the gradient is 0; elsewhere -K/s times the direction."""
 
     def k(x: jax.Array, y: jax.Array) -> jax.Array:
-        return gram(laplacian(2.0), x[None], y[None])[0, 0]
+        return gram(Laplacian(2.0), x[None], y[None])[0, 0]
 
     zero = jnp.zeros(2, jnp.float32)
     np.testing.assert_array_equal(jax.grad(k)(zero, zero), [0.0, 0.0])
@@ -74,5 +80,7 @@ def test_the_laplacian_has_a_gradient_at_a_centre() -> None:
 
 def test_by_name() -> None:
     """Settings name a kernel; slope and offset are the sigmoid's."""
-    assert at(make_kernel("sigmoid", 1.0, 0.1, -0.5))[0, 1] == pytest.approx(np.tanh(0.4), rel=1e-6)
-    assert at(make_kernel("laplacian", 10.0))[0, 0] == pytest.approx(np.exp(-0.5), rel=1e-6)
+    assert at(make_kernel("sigmoid", RkhsSettings(slope=0.1, offset=-0.5)))[0, 1] == pytest.approx(
+        np.tanh(0.4), rel=1e-6
+    )
+    assert at(make_kernel("laplacian", RkhsSettings(bandwidth=10.0)))[0, 0] == pytest.approx(np.exp(-0.5), rel=1e-6)

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import numpy_reference
 
+from common.kernels.gaussian import Gaussian
 from common.maths import expansion as expansions
 from common.maths import policy, running, trees
 from common.maths.expansion import Expansion
-from common.maths.kernels import gaussian
 from common.maths.networks import make_networks
 from common.maths.policy import Policy
 from common.maths.rkhs.exact import Exact
@@ -33,7 +33,7 @@ def networks_and_parameters() -> tuple:
 def act(expansion: Expansion, *, normalise: bool) -> policy.Mean:
     networks, parameters = networks_and_parameters()
     snapshot = Policy(parameters, expansion, MOMENTS)
-    run = jax.jit(functools.partial(policy.act, networks, Exact(gaussian(BANDWIDTH), 0), normalise=normalise))
+    run = jax.jit(functools.partial(policy.act, networks, Exact(Gaussian(BANDWIDTH), 0), normalise=normalise))
     return run(snapshot, OBSERVATION)
 
 
@@ -61,7 +61,7 @@ def test_kernel_inputs_have_length_at_most_one():
     """tanh features divided by sqrt(d) lie in the unit ball, however large the observation."""
     networks, parameters = networks_and_parameters()
     mean = policy.evaluate(
-        networks, Exact(gaussian(BANDWIDTH), 0), parameters, Expansion(CENTRES, WEIGHTS), 1e3 * OBSERVATION
+        networks, Exact(Gaussian(BANDWIDTH), 0), parameters, Expansion(CENTRES, WEIGHTS), 1e3 * OBSERVATION
     )
     # Four components of at most 1, over sqrt(4).
     assert np.linalg.norm(mean.features, axis=1).max() <= 1.0 + 1e-6
@@ -81,7 +81,7 @@ def test_acting_and_updating_see_the_same_numbers():
     """`act` on raw observations is `evaluate` on standardised ones, bit for bit."""
     networks, parameters = networks_and_parameters()
     expansion = Expansion(CENTRES, WEIGHTS)
-    kernel = Exact(gaussian(BANDWIDTH), CENTRES.shape[0])
+    kernel = Exact(Gaussian(BANDWIDTH), CENTRES.shape[0])
     acted = policy.act(networks, kernel, Policy(parameters, expansion, MOMENTS), OBSERVATION, normalise=True)
     evaluated = policy.evaluate(networks, kernel, parameters, expansion, running.standardise(MOMENTS, OBSERVATION))
     for ours, theirs in zip(jax.tree.leaves(acted), jax.tree.leaves(evaluated), strict=True):

@@ -8,19 +8,21 @@ import numpy as np
 import pytest
 from functions import as_dtype, gaussian_sum, points, rkhs_norm, stepped, value
 
-from common.maths.kernels import gaussian, gram, laplacian
+from common.kernels.gaussian import Gaussian
+from common.kernels.laplacian import Laplacian
+from common.maths.gram import gram
 from common.maths.rkhs.basis import Basis
 from common.maths.rkhs.exact import Exact
-from common.maths.rkhs.fourier import Fourier, laplacian_frequencies
+from common.maths.rkhs.fourier import Fourier, frequencies
 from common.maths.rkhs.nystrom import Nystrom
 
 WIDTH = 2.0
-KERNEL = gaussian(WIDTH)
+KERNEL = Gaussian(WIDTH)
 Z, ALPHA, ELSEWHERE = points(12, 3), points(12, 2, seed=1), points(20, 3, seed=2)
 
 
 def fourier(features: int, seed: int = 0) -> Fourier:
-    return Fourier(KERNEL, features, "gaussian", WIDTH, seed)
+    return Fourier(KERNEL, features, seed)
 
 
 def test_one_transition_changes_h_by_alpha_times_the_kernel() -> None:
@@ -137,7 +139,7 @@ def test_fourier_features_err_as_theory_says() -> None:
 def test_fourier_features_converge_to_the_kernel() -> None:
     """The spectra that runs draw from: Gaussian and Laplacian Gram matrices to within five standard errors."""
     x = jnp.asarray(ELSEWHERE, jnp.float32)
-    embeddings = [fourier(8192), Fourier(laplacian(WIDTH), 8192, "laplacian", WIDTH, 3)]
+    embeddings = [fourier(8192), Fourier(Laplacian(WIDTH), 8192, 3)]
     for representation in embeddings:
         function, _ = representation.empty(3, 2)
         phi = np.asarray(representation.activations(function, x))
@@ -146,8 +148,22 @@ def test_fourier_features_converge_to_the_kernel() -> None:
 
 def test_the_laplacian_spectrum_is_cauchy_in_every_direction() -> None:
     """A coordinate of w bandwidth is Cauchy: half of all values lie within 1, whatever the size of w."""
-    w = np.asarray(laplacian_frequencies(jax.random.key(1), 4000, 3, 0.5)) * 0.5
+    w = np.asarray(frequencies(Laplacian(0.5), jax.random.key(1), 4000, 3)) * 0.5
     assert np.mean(np.abs(w) < 1) == pytest.approx(0.5, abs=5 * 0.5 / np.sqrt(12000) * 2)
+
+
+def test_no_laplacian_frequency_dwarfs_the_others() -> None:
+    """The largest of 128 is a few times the median; the expected K stays within the error of so many draws, 0.09.
+
+    1/|u| is at most 1 / 0.11, the 0.088 quantile of |u| (128^-1/2 = 0.088), and 1 / 0.67 at the median: 6 times. In
+    three dimensions |g| spreads by another factor of 3 or so. An unbounded draw has a largest of some 128 medians.
+    """
+    w = np.linalg.norm(frequencies(Laplacian(0.5), jax.random.key(0), 128, 3), axis=1)
+    assert w.max() / np.median(w) < 20
+    u = np.random.default_rng(0).standard_normal((200_000, 1))
+    bounded = Laplacian(0.5).frequency_scale(u, 128**-0.5, np)
+    for r in (0.01, 0.1, 0.5, 2.0):
+        assert np.mean(np.exp(-0.5 * (bounded * r) ** 2)) == pytest.approx(np.exp(-r / 0.5), abs=128**-0.5)
 
 
 def test_a_batch_gradient_of_features_is_the_sum_of_its_transitions() -> None:
@@ -170,7 +186,7 @@ def test_the_basis_is_that_of_the_gaussian_kernel() -> None:
     """sum_a e_a(x) e_a(y) = K(x, y): in two variables degree 12 leaves (2 x y / s2)^13 / 13! of the series."""
     x = points(6, 2, seed=4)
     x /= np.linalg.norm(x, axis=1, keepdims=True)
-    basis = Basis(KERNEL, 91, WIDTH, 2, 0)  # 91 = (12 + 1)(12 + 2) / 2
+    basis = Basis(KERNEL, 91, 2, 0)  # 91 = (12 + 1)(12 + 2) / 2
     function, _ = basis.empty(2, 1)
     e = np.asarray(basis.activations(function, jnp.asarray(x, jnp.float32)), np.float64)
     assert e.shape == (6, 91)
@@ -179,7 +195,7 @@ def test_the_basis_is_that_of_the_gaussian_kernel() -> None:
 
 def test_functions_of_the_basis() -> None:
     """Order 1, y1, y2, y1^2, y1 y2, y2^2 with factors sqrt((2/s2)^|a| / a!), times exp(-|y|^2/s2); s2 = 2."""
-    basis = Basis(KERNEL, 6, WIDTH, 2, 0)
+    basis = Basis(KERNEL, 6, 2, 0)
     function, _ = basis.empty(2, 1)
     e = np.asarray(basis.activations(function, jnp.asarray([[0.5, 2.0]], jnp.float32)))[0]
     root = np.sqrt(0.5)
@@ -189,5 +205,5 @@ def test_functions_of_the_basis() -> None:
 
 def test_directions_of_the_basis_keep_lengths_on_average() -> None:
     """Fewer directions than features: orthogonal, each of length sqrt(d / variables)."""
-    function, _ = Basis(KERNEL, 10, WIDTH, 4, 0).empty(16, 1)
+    function, _ = Basis(KERNEL, 10, 4, 0).empty(16, 1)
     np.testing.assert_allclose(function.directions @ function.directions.T, 4.0 * np.eye(4), atol=1e-5)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from functions import as_dtype, gaussian_sum, points, rkhs_norm, stepped, value
 
-from common.maths.kernels import gaussian
+from common.kernels.gaussian import Gaussian
 from common.maths.rkhs.clustering import Cluster
 from common.maths.rkhs.exact import Exact
 from common.maths.rkhs.matching_pursuit import KernelMatchingPursuit
 
 WIDTH = 2.0
-KERNEL = gaussian(WIDTH)
+KERNEL = Gaussian(WIDTH)
 ELSEWHERE = points(10, 2, seed=2)
 
 

@@ -8,8 +8,8 @@ import pytest
 from small_learners import same_bits
 
 from common.config.settings import AlgorithmSettings
+from common.kernels.gaussian import Gaussian
 from common.maths import trees
-from common.maths.kernels import gaussian
 from common.maths.networks import make_networks
 from common.maths.rkhs.exact import Exact
 from common.maths.state import LearnerState, initial_state, make_optimiser
@@ -23,7 +23,7 @@ def start(seed: int = 0, capacity: int = 6) -> LearnerState:
         networks,
         parameters,
         ALGORITHM,
-        representation=Exact(gaussian(0.5), capacity),
+        representation=Exact(Gaussian(0.5), capacity),
         slots=5,
         envs_per_slot=7,
         seed=seed,

@@ -19,6 +19,13 @@ def test_values(largest: float) -> None:
     np.testing.assert_allclose(sine, np.sin(x.astype(np.float64)), atol=2e-7)
 
 
+def test_no_value_beyond_one() -> None:
+    """However large an argument is: at 1e8 the series without a bound gives 3,240."""
+    x = jnp.asarray(np.geomspace(1e3, 1e30, 10_001), jnp.float32)
+    for values in jax.jit(cos_sin)(jnp.concatenate([x, -x])):
+        assert np.abs(np.asarray(values)).max() <= 1.0
+
+
 def test_derivatives() -> None:
     """cos' = -sin and sin' = cos, at x = 2: -0.9093 and -0.4161, weighted by 1 and 10."""
     gradient = jax.grad(lambda x: cos_sin(x)[0] + 10.0 * cos_sin(x)[1])(jnp.float32(2.0))

@@ -12,8 +12,9 @@ from functions import gaussian_sum, points
 from small_learners import random_batch, small_learner
 
 from common.config.settings import RunSettings
+from common.kernels.gaussian import Gaussian
+from common.kernels.linear import Linear
 from common.maths.diagnostics import MEASURED
-from common.maths.kernels import gaussian, linear
 from common.maths.variance import (
     gradient_variance,
     linear_ratio,
@@ -30,7 +31,7 @@ def test_equation_10_is_the_sample_variance_of_a_linear_kernel() -> None:
     with jax.enable_x64(True):
         gradients = np.einsum("ta,td->tad", ALPHA, Z).reshape(30, -1)
         expected = np.var(gradients, axis=0).sum()
-        assert float(gradient_variance(linear(), jnp.asarray(Z), jnp.asarray(ALPHA))) == pytest.approx(
+        assert float(gradient_variance(Linear(), jnp.asarray(Z), jnp.asarray(ALPHA))) == pytest.approx(
             expected, rel=1e-12
         )
 
@@ -41,7 +42,7 @@ def test_equation_10_for_the_gaussian_kernel() -> None:
     products = ALPHA @ ALPHA.T * k
     terms = [products[t, t] - 2 * products[:, t].sum() / 30 + products.sum() / 30**2 for t in range(30)]
     with jax.enable_x64(True):
-        found = gradient_variance(gaussian(2.0), jnp.asarray(Z), jnp.asarray(ALPHA))
+        found = gradient_variance(Gaussian(2.0), jnp.asarray(Z), jnp.asarray(ALPHA))
     assert float(found) == pytest.approx(np.mean(terms), rel=1e-12)
 
 
@@ -49,8 +50,8 @@ def test_the_measured_ratio_to_the_linear_policy() -> None:
     """One variance by the other, on the same transitions."""
     with jax.enable_x64(True):
         z, alpha = jnp.asarray(Z), jnp.asarray(ALPHA)
-        expected = gradient_variance(gaussian(2.0), z, alpha) / gradient_variance(linear(), z, alpha)
-        assert float(linear_ratio(gaussian(2.0), z, alpha)) == pytest.approx(float(expected), rel=1e-12)
+        expected = gradient_variance(Gaussian(2.0), z, alpha) / gradient_variance(Linear(), z, alpha)
+        assert float(linear_ratio(Gaussian(2.0), z, alpha)) == pytest.approx(float(expected), rel=1e-12)
 
 
 def test_lemma_3_1_is_what_monte_carlo_finds() -> None:
@@ -76,7 +77,7 @@ def test_the_variance_ratio_and_its_lower_bound() -> None:
         return tuple(jnp.asarray([number], jnp.float32) for number in numbers)
 
     state = jnp.asarray([[3.0, 4.0]], jnp.float32)
-    ratio = variance_ratio(gaussian(1.0), state, of(1.0, 0.0, 1.0), of(2.0, 1.0, 0.0), jnp.float32(0.5))
+    ratio = variance_ratio(Gaussian(1.0), state, of(1.0, 0.0, 1.0), of(2.0, 1.0, 0.0), jnp.float32(0.5))
     assert float(ratio[0]) == pytest.approx(0.4 / 25, rel=1e-5)
     assert float(ratio[0]) >= 0.2 / 25
 
@@ -107,7 +108,7 @@ def test_theorem_3_2_orders_the_three_variances() -> None:
     assert (values + advantages >= values / 2).all()
     with jax.enable_x64(True):
         state = jnp.zeros((2000, 1))
-        variance = jax.jit(lambda alpha: gradient_variance(gaussian(1.0), state, alpha))
+        variance = jax.jit(lambda alpha: gradient_variance(Gaussian(1.0), state, alpha))
         for a, v, adv in zip(actions, values, advantages, strict=True):
             gradients = three_gradients(
                 jnp.asarray(a[:, None]),
