@@ -6,7 +6,7 @@ Formulas are written in the functions of an array namespace `xp`: `jax.numpy` in
 from __future__ import annotations
 
 import abc
-from typing import Any, ClassVar, Literal, Protocol, Self
+from typing import Any, ClassVar, Literal, Protocol, Self, runtime_checkable
 
 from jaxtyping import Float
 
@@ -21,6 +21,7 @@ orthonormal basis: the one of `common.maths.rkhs.basis` spans the kernel's space
 """
 
 
+@runtime_checkable
 class Parameters(Protocol):
     """The settings that kernels take their parameters from (`common.config.rkhs.RkhsSettings`)."""
 

@@ -12,8 +12,9 @@ from jax import Array
 from jaxtyping import Float
 
 from common.config.critic import CriticSettings
-from common.maths.kernels import gaussian, gram
-from common.maths.rkhs.fourier import gaussian_frequencies
+from common.kernels.gaussian import Gaussian
+from common.maths.gram import gram, product
+from common.maths.rkhs.fourier import frequencies
 from common.maths.rkhs.nystrom import inverse_root
 from common.maths.samples import evenly_spread_rows
 from common.maths.trigonometry import cos_sin
@@ -87,11 +88,11 @@ class Fourier(Functions):
 
     def start(self) -> Points:
         key = jax.random.fold_in(jax.random.key(self.seed), 0xC717)
-        frequencies = gaussian_frequencies(key, self.capacity // 2, self.inputs, self.bandwidth)
-        return Points(frequencies, jnp.zeros((0, 0), jnp.float32))
+        directions = frequencies(Gaussian(self.bandwidth), key, self.capacity // 2, self.inputs)
+        return Points(directions, jnp.zeros((0, 0), jnp.float32))
 
     def __call__(self, points: Points, inputs: Float[Array, "B d"]) -> Float[Array, "B M"]:
-        cosine, sine = cos_sin(inputs @ points.directions.T)
+        cosine, sine = cos_sin(product(inputs, points.directions.T))
         return jnp.concatenate([cosine, sine], axis=1) * (points.directions.shape[0] ** -0.5)
 
 
@@ -112,10 +113,10 @@ class Landmarks(Functions):
 
     def renew(self, points: Points, inputs: Float[Array, "B d"]) -> Points:
         landmarks = inputs[evenly_spread_rows(inputs.shape[0], self.capacity)]
-        return Points(landmarks, inverse_root(gram(gaussian(self.bandwidth), landmarks, landmarks)))
+        return Points(landmarks, inverse_root(gram(Gaussian(self.bandwidth), landmarks, landmarks)))
 
     def __call__(self, points: Points, inputs: Float[Array, "B d"]) -> Float[Array, "B M"]:
-        return gram(gaussian(self.bandwidth), inputs, points.directions) @ points.whitening
+        return product(gram(Gaussian(self.bandwidth), inputs, points.directions), points.whitening)
 
 
 def _points(count: int, inputs: int, whitening: int = 0) -> Points:
