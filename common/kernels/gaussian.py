@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, final
 
 from jaxtyping import Float
 
@@ -21,7 +21,7 @@ class Gaussian(RadialKernel):
     properties: ClassVar[frozenset[Property]] = frozenset({"positive semi-definite", "spectrum", "orthonormal basis"})
 
     @classmethod
-    def from_parameters(cls, parameters: Parameters) -> Self:
+    def from_parameters(cls, parameters: Parameters) -> Gaussian:
         return cls(parameters.bandwidth)
 
     def of_squared_distance(self, squared: Float[Array, "*batch"], xp: Any) -> Float[Array, "*batch"]:

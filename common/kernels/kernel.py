@@ -6,7 +6,7 @@ Formulas are written in the functions of an array namespace `xp`: `jax.numpy` in
 from __future__ import annotations
 
 import abc
-from typing import Any, ClassVar, Literal, Protocol, Self, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 from jaxtyping import Float
 
@@ -46,7 +46,7 @@ class Kernel(abc.ABC):
 
     @classmethod
     @abc.abstractmethod
-    def from_parameters(cls, parameters: Parameters) -> Self:
+    def from_parameters(cls, parameters: Parameters) -> Kernel:
         """The kernel of a run's settings."""
 
     @abc.abstractmethod

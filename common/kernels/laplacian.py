@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, final
 
 from jaxtyping import Float
 
@@ -22,7 +22,7 @@ class Laplacian(RadialKernel):
     properties: ClassVar[frozenset[Property]] = frozenset({"positive semi-definite", "spectrum"})
 
     @classmethod
-    def from_parameters(cls, parameters: Parameters) -> Self:
+    def from_parameters(cls, parameters: Parameters) -> Laplacian:
         return cls(parameters.bandwidth)
 
     def of_squared_distance(self, squared: Float[Array, "*batch"], xp: Any) -> Float[Array, "*batch"]:

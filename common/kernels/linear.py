@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, final
 
 from jaxtyping import Float
 
@@ -19,7 +19,7 @@ class Linear(Kernel):
     properties: ClassVar[frozenset[Property]] = frozenset({"positive semi-definite"})
 
     @classmethod
-    def from_parameters(cls, parameters: Parameters) -> Self:
+    def from_parameters(cls, parameters: Parameters) -> Linear:
         return cls()
 
     def of(

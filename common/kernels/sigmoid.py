@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, final
 
 from jaxtyping import Float
 
@@ -26,7 +26,7 @@ class Sigmoid(Kernel):
     properties: ClassVar[frozenset[Property]] = frozenset()
 
     @classmethod
-    def from_parameters(cls, parameters: Parameters) -> Self:
+    def from_parameters(cls, parameters: Parameters) -> Sigmoid:
         return cls(parameters.slope, parameters.offset)
 
     def of(
