@@ -90,6 +90,16 @@ RIGHTS = {
 PLAYING = (Right("played", [f"{ROOT}/**"], ["declare_subscriber"], ["put"]),)
 """What everyone may do with a recorded run that is played: listen."""
 
+EVALUATING = (
+    JOINING,
+    Right("latest", _LATEST, ["query"], _REPLY),
+    Right("assess", (f"{ROOT}/*/assessment/*",), ["query"], _REPLY),
+    Right("presence", (f"{ROOT}/*/alive/evaluator/*",), ["liveliness_token"]),
+    Right("roll-call", _ALL_ALIVE, [], _LOOK),
+    Right("learner-alive", _PRESENT, _LOOK, ["liveliness_token"]),
+)
+"""Additional rights of a player's evaluators."""
+
 
 def access_control(names: Names, *, by_password: bool) -> dict[str, object]:
     """Zenoh's settings by path, for a learner that these may reach; `by_password`: the names are of users."""
@@ -97,10 +107,11 @@ def access_control(names: Names, *, by_password: bool) -> dict[str, object]:
     return _settings(RIGHTS, roles, by_password=by_password)
 
 
-def listening_only(names: Names, *, by_password: bool) -> dict[str, object]:
-    """As `access_control`, for a player: all of them may listen, and nothing else."""
+def player_access_control(names: Names, *, by_password: bool) -> dict[str, object]:
+    """As `access_control`, for a player: all of them may listen, and those with an actor's name may evaluate."""
     everyone = (*names.actors, *names.viewers, LEARNER)
-    return _settings({"listener": PLAYING}, {"listener": everyone}, by_password=by_password)
+    rights = {"listener": PLAYING, "evaluator": EVALUATING}
+    return _settings(rights, {"listener": everyone, "evaluator": names.actors}, by_password=by_password)
 
 
 def router_access_control(names: Names, *, by_password: bool) -> dict[str, object]:

@@ -46,14 +46,14 @@ def run_actor(
         physics: the engine, or "auto"; the run's own setting takes precedence unless that is "auto".
         run: the run to work for, or "" for any.
         threads: threads of the native engine, 0 for one per core.
-        connect_timeout_s: how long to wait for a learner; None for ever.
-        rejoin_timeout_s: how long to wait for a lost learner or its successor; None for ever.
+        connect_timeout_s: how long to wait for a connection, and then for a learner to answer on it; None for ever.
+        rejoin_timeout_s: the same for a lost learner or its successor; None for ever.
         say: called with messages for the user.
         state_file: the file that `python -m reskpn.health actor` reads; None for none.
 
     Raises:
         RefusedError: the learner does not accept this actor.
-        SessionError: there was no learner within the time.
+        SessionError: no learner answered within the time.
         SettingsError: the state file cannot be written.
     """
     write_state = state_writer(state_file)
@@ -75,6 +75,7 @@ def run_actor(
                 stop=stop,
                 waiting=say,
                 asked=lambda state: write_state(state, NO_POLICY),
+                timeout_s=connect_timeout_s,
             )
             if assignment is None:
                 return 0

@@ -82,14 +82,14 @@ def run_evaluator(
 
     Args:
         run: the run to follow, or "" for any.
-        connect_timeout_s: how long to wait for a learner; None for ever.
-        rejoin_timeout_s: how long to wait for a lost learner or its successor; None for ever.
+        connect_timeout_s: how long to wait for a connection, and then for a learner to answer on it; None for ever.
+        rejoin_timeout_s: the same for a lost learner or its successor; None for ever.
         say: called with messages for the user.
         state_file: the file that `python -m reskpn.health evaluator` reads; None for none.
 
     Raises:
         RefusedError: the learner does not accept this evaluator.
-        SessionError: there was no learner within the time.
+        SessionError: no learner answered within the time.
         SettingsError: the state file cannot be written.
     """
     with StateRefresher(state_writer(state_file)) as state:
@@ -99,7 +99,7 @@ def run_evaluator(
         engine = resolve_physics(options.physics)
         while not stop.is_set():
             with connect(transport, connect_timeout_s, stop) as session:
-                assignment = _join(session, run, engine, stop, say, state)
+                assignment = _join(session, run, engine, stop, say, state, connect_timeout_s)
                 if assignment is None:
                     return 0
                 say(f"following {assignment.run}: {options.episodes} episodes of every {_nth(options.every)} policy")
@@ -117,7 +117,13 @@ def run_evaluator(
 
 
 def _join(
-    session: Session, run: str, engine: str, stop: threading.Event, say: Say, state: StateRefresher
+    session: Session,
+    run: str,
+    engine: str,
+    stop: threading.Event,
+    say: Say,
+    state: StateRefresher,
+    timeout_s: float | None,
 ) -> Assignment | None:
     return join(
         session,
@@ -129,6 +135,7 @@ def _join(
         waiting=say,
         asked=state.set,
         role="evaluator",
+        timeout_s=timeout_s,
     )
 
 

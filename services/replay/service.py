@@ -10,7 +10,7 @@ from common.log.reader import LogMessage
 from common.runs.read_ahead import read_ahead
 from common.runs.recorded_run import RecordedRun
 from common.runs.recorded_updates import RecordedUpdate
-from common.wire.access import Names, listening_only
+from common.wire.access import Names, player_access_control
 from common.wire.credentials import NOBODY, Credentials
 from common.wire.rollout import Rollout
 from common.wire.session import open_session
@@ -48,7 +48,7 @@ def run_player(
     access = {}
     if credentials.authenticate(endpoint):
         names = Names(run.settings.transport.actor_names, run.settings.transport.viewer_names)
-        access = listening_only(names, by_password=credentials.users is not None)
+        access = player_access_control(names, by_password=credentials.users is not None)
     line = open_session(listen=[endpoint], max_message_size=size, credentials=credentials, options=access)
     with line as session, read_ahead(run.messages()) as messages:
         player = Player(run, session)

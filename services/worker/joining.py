@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -72,6 +73,7 @@ def join(
     waiting: Callable[[str], None],
     asked: Callable[[str], None] = lambda state: None,
     role: Role = "actor",
+    timeout_s: float | None = None,
 ) -> Assignment | None:
     """Ask to join until the learner accepts; None if `stop` was set first or the run is over.
 
@@ -79,23 +81,23 @@ def join(
         run: the run to work for, or "" for any.
         waiting: called with the reason for waiting whenever it changes.
         asked: called with "alone" or "standing by" after every request that was not accepted.
+        timeout_s: how long to wait for any answer, from the call or from the last answer on; None for ever.
 
     Raises:
+        SessionError: nothing answered within the time.
         RefusedError: the learner will never accept this worker (another schema or run).
     """
-    told, alone, lonely = "", 0, "no learner answers yet"
+    told, silence = "", _Silence(session, timeout_s)
+    patience_s = JOIN_TIMEOUT_S if timeout_s is None else min(JOIN_TIMEOUT_S, timeout_s)
     while not stop.is_set():
         # A new incarnation for each request: the learner may have accepted one whose reply was lost, and would then
         # know two workers by the same name.
         incarnation = secrets.token_hex(INCARNATION_BYTES)
         question = Join(run, role, incarnation, versions, hardware, physics)
         try:
-            reply = JoinReply.decode(session.ask(JOIN, question.encode(), JOIN_TIMEOUT_S))
+            reply = JoinReply.decode(session.ask(JOIN, question.encode(), patience_s))
         except SessionError:
-            alone += 1
-            if alone % EXPLAIN_EVERY == 0:
-                lonely = f"no learner answers yet: {session.explain()}"
-            state, reason = "alone", lonely
+            state, reason = "alone", silence.reason()
         except CodecError as error:
             raise RefusedError(f"the learner speaks another protocol: {error}") from None
         else:
@@ -107,6 +109,7 @@ def join(
                 return None
             if reply.final:
                 raise RefusedError(f"the learner does not take this {role}: {reply.text}")
+            silence.broken()
             state, reason = "standing by", reply.text
         asked(state)
         if reason != told:
@@ -114,3 +117,31 @@ def join(
             told = reason
         stop.wait(RETRY_S)
     return None
+
+
+class _Silence:
+    """The requests without an answer since the last one that was answered."""
+
+    def __init__(self, session: Session, timeout_s: float | None) -> None:
+        self._session = session
+        self._timeout_s = timeout_s
+        self._since_s = time.monotonic()
+        self._requests = 0
+        self._reason = "no learner answers yet"
+
+    def broken(self) -> None:
+        """Note an answer: the time starts again."""
+        self._since_s = time.monotonic()
+
+    def reason(self) -> str:
+        """Count a request without an answer; returns the reason for waiting, with a diagnosis after some of them.
+
+        Raises:
+            SessionError: the time is over.
+        """
+        self._requests += 1
+        if self._timeout_s is not None and time.monotonic() - self._since_s >= self._timeout_s:
+            raise SessionError(f"no learner answered within {self._timeout_s:g} s: {self._session.explain()}") from None
+        if self._requests % EXPLAIN_EVERY == 0:
+            self._reason = f"no learner answers yet: {self._session.explain()}"
+        return self._reason

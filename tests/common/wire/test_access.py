@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from common.wire.access import LEARNER, Names, access_control, listening_only
+from common.wire.access import LEARNER, Names, access_control, player_access_control
 
 
 def control(**changes: Any) -> dict[str, Any]:
@@ -56,8 +56,11 @@ def test_a_role_without_names_is_nobody() -> None:
 
 
 def test_users() -> None:
-    """Names of users take the place of those in certificates; listeners to a player may do nothing else."""
-    made: Any = listening_only(Names(("actor",), ("viewer",)), by_password=True)["access_control"]
-    assert made["subjects"] == [{"id": "listener", "usernames": ["actor", "viewer", "learner"]}]
+    """Names of users take the place of those in certificates; a player lets all listen and actors evaluate."""
+    made: Any = player_access_control(Names(("actor",), ("viewer",)), by_password=True)["access_control"]
+    assert made["subjects"] == [
+        {"id": "listener", "usernames": ["actor", "viewer", "learner"]},
+        {"id": "evaluator", "usernames": ["actor"]},
+    ]
     assert rights(made, "listener", "ingress", "declare_subscriber") == {"reskpn/v1/**"}
     assert not rights(made, "listener", "ingress", "put")

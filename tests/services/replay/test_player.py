@@ -12,15 +12,18 @@ import pytest
 from recorded_runs import UPDATES, Recording, made_up, write_log
 from samples import snapshot
 
-from common.errors import SessionError
+from common.errors import RefusedError, SessionError
 from common.log.reader import LogMessage
 from common.runs.recorded_run import RecordedRun, open_run
+from common.wire.assessment import Assessment
 from common.wire.keys import Keys
 from common.wire.messages import Orders, Snapshot
 from common.wire.rollout import Rollout
 from common.wire.session import Session
+from services.evaluator.link import EvaluatorLink
 from services.replay.player import Player
 from services.replay.service import LONGEST_PAUSE_S, Recorded, at_pace, run_player
+from services.worker.joining import join
 
 KEYS = Keys("run-1")
 READY = "reskpn/v1/run-1/alive/dashboard/d"
@@ -78,6 +81,52 @@ def test_subscribers_see_the_run(
     assert [(one.version, one.finished) for one in orders] == [(3, False), (3, True)]
     served = Snapshot.decode(dashboard.ask(KEYS.policy_latest, b"", 5.0))
     assert (served.version, served.digest) == (3, orders[0].digest)
+
+
+def test_an_evaluator_follows_a_replay(
+    run: RecordedRun,
+    sessions: Callable[..., Session],
+    until: Callable[..., None],
+) -> None:
+    """It joins as it joins a learner, is told the newest policy at once, and hears the end."""
+    players, worker = sessions(listen=True), sessions()
+    player = Player(run, players)
+    for message, content in run.messages():
+        player.play(message, content)
+    stop = threading.Event()
+    member = join(
+        worker, run="", physics="native", versions={}, hardware={}, stop=stop, waiting=str, role="evaluator",
+        timeout_s=5.0,
+    )  # fmt: skip
+    assert member is not None
+    assert (member.run, member.settings) == ("run-1", run.settings)
+    link = EvaluatorLink(worker, member, push_timeout_s=5.0)
+    # The last policy was announced before it joined, and no other follows.
+    orders = link.orders(newer_than=None, timeout_s=5.0)
+    assert orders is not None
+    assert (orders.version, link.snapshot().version) == (3, 3)
+    found = Assessment(
+        run=member.run, evaluator=member.incarnation, version=3, episode_return=np.ones(1, np.float32),
+        episode_length=np.ones(1, np.int32), qpos=np.zeros((0, 2), np.float32), step_s=0.1,
+    )  # fmt: skip
+    assert link.push(found, stop)
+    player.finish()
+    until(lambda: link.over)
+
+
+def test_an_actor_cannot_work_for_a_replay(
+    run: RecordedRun,
+    sessions: Callable[..., Session],
+) -> None:
+    """It is refused for good, with the reason; and so is an evaluator of another run."""
+    players, worker = sessions(listen=True), sessions()
+    Player(run, players)
+    for role, wanted, text in (("actor", "", "only evaluators can join"), ("evaluator", "other", "not of 'other'")):
+        with pytest.raises(RefusedError, match=rf"this is a replay of run 'run-1'.*{text}"):
+            join(
+                worker, run=wanted, physics="native", versions={}, hardware={}, stop=threading.Event(), waiting=str,
+                role=role, timeout_s=5.0,
+            )  # fmt: skip
 
 
 class Stop(threading.Event):

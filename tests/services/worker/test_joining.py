@@ -10,7 +10,7 @@ import pytest
 from learner_script import Script, ask_to_join, reply
 from samples import RUN, settings
 
-from common.errors import RefusedError
+from common.errors import RefusedError, SessionError
 from common.wire import codec
 from common.wire.keys import JOIN
 from common.wire.messages import Join
@@ -52,6 +52,26 @@ def test_joining_goes_on_until_there_is_a_learner(
     assert member is not None
     assert member.slot == 1
     assert told == ["no learner answers yet"]
+
+
+def test_a_peer_that_answers_nothing_is_waited_for_as_long_as_was_said(
+    sessions: Sessions, stop: threading.Event
+) -> None:
+    """Connected is not answered: what listens there may be no learner. The error says so, and joining ends."""
+    sessions(listen=True)
+    with pytest.raises(SessionError, match=r"no learner answered within 0\.5 s: .* is connected, but serves nothing"):
+        join(sessions(), run="", physics="native", versions={}, hardware={}, stop=stop, waiting=str, timeout_s=0.5)
+
+
+def test_a_refusal_is_an_answer(sessions: Sessions, stop: threading.Event) -> None:
+    """Standing by for longer than the timeout is no silence: the time starts again with every answer."""
+    learner = sessions(listen=True)
+    learner.serve(JOIN, Script(*[reply(False, "full")] * 6, reply(True)))
+    # Six pauses of 0.25 s are longer than 1 s.
+    member = join(
+        sessions(), run=RUN, physics="native", versions={}, hardware={}, stop=stop, waiting=str, timeout_s=1.0
+    )
+    assert member is not None
 
 
 def test_an_actor_that_stands_by_asks_again_under_new_names(sessions: Sessions, stop: threading.Event) -> None:
