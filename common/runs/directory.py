@@ -18,6 +18,7 @@ from common.log.segments import LOG_DIRECTORY
 SUMMARY = "summary.json"
 SETTINGS = "settings.json"
 TENSORBOARD = "tensorboard"
+CHECKPOINTS = "checkpoints"
 
 KEPT_CHECKPOINTS = 3
 """Checkpoints that a run keeps: the newest."""

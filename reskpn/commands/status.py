@@ -7,16 +7,19 @@ import json
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
 
 from common.config.faults import PREFIX
+from common.config.settings import TransportSettings
 from common.config.sources import load
-from common.errors import SessionError, SettingsError
+from common.errors import ReskpnError, SessionError, SettingsError
 from common.printable import printable
-from common.runs.directory import SETTINGS
+from common.runs.directory import RUNS, SETTINGS
+from common.runs.listing import describe_run, newest_run
 from common.wire.credentials import NOBODY, Credentials
 from common.wire.keys import STATUS
 from common.wire.report import MAX_REPORT_BYTES, RunReport
@@ -24,6 +27,7 @@ from common.wire.session import Session, open_session
 from reskpn.commands.command import EXIT_CODES, Command
 from reskpn.commands.connection import add_connection, over
 from reskpn.commands.status_view import view
+from reskpn.commands.summary_view import finished_summary, print_summary
 
 CONNECT_S = 3.0
 """Seconds to connect to a learner, and then for its answer."""
@@ -46,8 +50,8 @@ def status(
     """
     # In a file or a pipe, lines are not wrapped.
     console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=PLAIN_WIDTH)
-    with connect(endpoint, credentials=credentials) as session:
-        report = ask(session, endpoint)
+    with connect(endpoint, CONNECT_S, credentials) as session:
+        report = ask(session, endpoint, CONNECT_S)
         if not watch:
             _print(console, report, as_json=as_json)
             return 0
@@ -121,6 +125,62 @@ def endpoint_of(run_dir: Path) -> str:
     return str(endpoint)
 
 
+def status_of_run(
+    run_dir: Path | None,
+    *,
+    as_json: bool,
+    watch: bool,
+    stop: threading.Event,
+    credentials: Credentials = NOBODY,
+    say: Callable[[str], None] = print,
+) -> int:
+    """Print the state of the run in a directory, or of the newest run of this folder; returns 0.
+
+    Of a finished run that is its summary; of another one what its learner answers. With `watch` a learner that does
+    not answer, since it has not started or not yet been resumed, is waited for; its address is looked up every time.
+
+    Raises:
+        SessionError: no learner answers, and it is not to be waited for.
+        SettingsError: there is no run.
+    """
+    told = False
+    while not stop.is_set():
+        directory = run_dir or newest_run(RUNS)
+        if directory is not None and (summary := finished_summary(directory)) is not None:
+            print_summary(directory, summary, as_json=as_json)
+            return 0
+        try:
+            return status(_endpoint_in(directory), as_json=as_json, watch=watch, stop=stop, credentials=credentials)
+        except (SessionError, SettingsError) as error:
+            # Its run may have ended just now, and a resumed one listens elsewhere: looked up anew in the next round.
+            if directory is not None and finished_summary(directory) is not None:
+                continue
+            if not watch:
+                raise type(error)(_unanswered(directory, error)) from None
+        if not told:
+            say(f"waiting for the learner of {directory or 'a run'}; Ctrl-C ends this")
+            told = True
+        stop.wait(WATCH_S)
+    return 0
+
+
+def _endpoint_in(run_dir: Path | None) -> str:
+    return TransportSettings().endpoint if run_dir is None else endpoint_of(run_dir)
+
+
+def _unanswered(run_dir: Path | None, error: ReskpnError) -> str:
+    """Why no learner answers for a run, as its directory shows it."""
+    listed = None if run_dir is None else describe_run(run_dir)
+    if listed is None:
+        where = "" if run_dir else f" There is no run in {RUNS}/ here; give --endpoint or --run-dir."
+        return f"{error}{where}"
+    if listed.state == "starting":
+        return f"{run_dir} is a run that is just starting, or never did; --watch waits for its learner"
+    if listed.state == "stopped":
+        return f"{run_dir} is not finished and not running; continue it with: reskpn train --resume {run_dir}"
+    return f"{run_dir}: {error}"
+
+
 def _print(console: Console, report: RunReport, *, as_json: bool) -> None:
     if as_json:
         print(report.model_dump_json(), flush=True)
@@ -137,7 +197,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="directory of the run, whose settings have the address",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object per line, for machines")
-    parser.add_argument("--watch", action="store_true", help="repeat every second, until Ctrl-C")
+    parser.add_argument(
+        "--watch",
+        action="store_true",
+        help="repeat every second until Ctrl-C, and wait for a learner that does not answer yet",
+    )
 
 
 def run(given: argparse.Namespace) -> int:
@@ -145,11 +209,22 @@ def run(given: argparse.Namespace) -> int:
     from reskpn.supervision.stopping import stopping
 
     transport = over(load().transport, given)
-    if given.run_dir and not given.endpoint:
-        transport = transport.model_copy(update={"endpoint": endpoint_of(given.run_dir)})
     credentials = Credentials.of(transport)
     with stopping(supervised=False) as stop:
+        if given.endpoint is None and (given.run_dir or "endpoint" not in transport.model_fields_set):
+            return status_of_run(
+                given.run_dir, as_json=given.json, watch=given.watch, stop=stop, credentials=credentials, say=_say
+            )
         return status(transport.endpoint, as_json=given.json, watch=given.watch, stop=stop, credentials=credentials)
 
 
-COMMAND = Command(add_options, run, f"{PREFIX}TRANSPORT__ENDPOINT in the environment is used as well.\n\n{EXIT_CODES}")
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+COMMAND = Command(
+    add_options,
+    run,
+    "Without --endpoint and --run-dir: the newest run in runs/ of this folder, unless\n"
+    f"{PREFIX}TRANSPORT__ENDPOINT is set. Of a finished run, its summary is shown.\n\n{EXIT_CODES}",
+)

@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
+from common.layout import Column, FittedTable, Parts
 from common.printable import printable
 from common.wire.report import LATE_S, ActorReport, RunReport, VacancyReport
 
 COLUMNS = (
-    "slot", "actor", "host", "state", "engine", "policy", "age", "steps/s", "heard", "accepted", "refused", "busy",
-    "repeated",
-)  # fmt: skip
+    Column("slot"),
+    Column("actor", rank=8, left=True),
+    Column("host", rank=3, left=True),
+    Column("state", left=True),
+    Column("engine", rank=9, left=True),
+    Column("policy", rank=1),
+    Column("age", rank=6),
+    Column("steps/s", rank=1),
+    Column("heard", rank=2),
+    Column("accepted", rank=4),
+    Column("refused", rank=4),
+    Column("busy", rank=5),
+    Column("repeated", rank=7),
+)
+"""In a narrow terminal, those with the highest ranks are left out."""
 
 
 def view(report: RunReport) -> RenderableType:
     """The whole report; text from the network is shown without control characters."""
-    parts: list[RenderableType] = [Text(line) for line in head(report)]
-    parts += [_table(report), *(Text(line) for line in tail(report))]
-    return Group(*parts)
+    return Group(
+        *(Parts(line.split(" | ")) for line in head(report)), _table(report), *(Text(line) for line in tail(report))
+    )
 
 
 def head(report: RunReport) -> list[str]:
@@ -84,18 +96,11 @@ def _evaluated(report: RunReport) -> str | None:
     )
 
 
-def _table(report: RunReport) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for column in COLUMNS:
-        left = column in ("actor", "host", "state", "engine")
-        whole = column in ("slot", "actor", "state")
-        table.add_column(column, justify="left" if left else "right", overflow="fold", no_wrap=whole)
+def _table(report: RunReport) -> FittedTable:
     newest = None if report.progress is None else report.progress.version
     rows = [(actor.slot, actor_row(actor, newest)) for actor in report.actors]
     rows += [(vacancy.slot, vacancy_row(vacancy)) for vacancy in report.vacancies]
-    for _, row in sorted(rows):
-        table.add_row(*(Text(cell) for cell in row))
-    return table
+    return FittedTable(COLUMNS, [row for _, row in sorted(rows)])
 
 
 def actor_row(actor: ActorReport, newest: int | None) -> list[str]:

@@ -18,11 +18,9 @@ import numpy as np
 
 from common.errors import CheckpointError, CodecError
 from common.files import create, read_bytes
-from common.runs.directory import KEPT_CHECKPOINTS
+from common.runs.directory import CHECKPOINTS, KEPT_CHECKPOINTS
 from common.wire.codec import Limits
 from common.wire.messages import Snapshot, digest_arrays
-
-DIRECTORY = "checkpoints"
 
 ENVIRONMENTS = ".env"
 """Suffix of the file with the environments of a checkpoint."""
@@ -38,7 +36,7 @@ def write_checkpoint(run_dir: Path, state: Snapshot) -> Path:
     Raises:
         CheckpointError: the file cannot be written; older checkpoints are untouched.
     """
-    path = run_dir / DIRECTORY / f"{state.version:08d}.ckpt"
+    path = run_dir / CHECKPOINTS / f"{state.version:08d}.ckpt"
     _write(path, state)
     _drop_old(run_dir)
     return path
@@ -60,7 +58,7 @@ class KeptEnvironments:
 
 def write_environments(run_dir: Path, kept: KeptEnvironments) -> Path:
     """Keep the environments beside the checkpoint of their version. CheckpointError as `write_checkpoint`."""
-    path = run_dir / DIRECTORY / f"{kept.version:08d}{ENVIRONMENTS}"
+    path = run_dir / CHECKPOINTS / f"{kept.version:08d}{ENVIRONMENTS}"
     arrays = {str(slot): np.frombuffer(data, np.uint8) for slot, data in kept.states.items()}
     arrays[_GIVEN] = np.array(kept.given, np.int64)
     _write(path, Snapshot(kept.run, kept.version, digest_arrays(arrays), arrays))
@@ -88,7 +86,7 @@ def quarantine(checkpoint: Path) -> None:
 
 def list_checkpoints(run_dir: Path) -> list[Path]:
     """All whole checkpoints of a run, oldest first."""
-    folder = run_dir / DIRECTORY
+    folder = run_dir / CHECKPOINTS
     return sorted(path for path in folder.glob("*.ckpt") if _NAME.fullmatch(path.name))
 
 

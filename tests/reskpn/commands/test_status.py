@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import threading
 import time
@@ -18,7 +19,7 @@ from common.wire.keys import STATUS
 from common.wire.session import Request, Session, open_session
 from reskpn.cli import main
 from reskpn.commands import status as status_module
-from reskpn.commands.status import ask, connect, endpoint_of, status
+from reskpn.commands.status import ask, connect, endpoint_of, status, status_of_run
 
 STOP = threading.Event()  # never set
 
@@ -152,3 +153,118 @@ def test_a_directory_without_a_run(tmp_path: Path, content: str | None) -> None:
         (tmp_path / "settings.json").write_text(content)
     with pytest.raises(SettingsError, match=f"--run-dir {tmp_path}: settings.json .* of a run"):
         endpoint_of(tmp_path)
+
+
+# -- runs of a folder --------------------------------------------------------------------------------------
+
+
+def put_run(folder: Path, endpoint: str, *, complete: bool = False) -> Path:
+    """A run directory with what `status` reads of it."""
+    folder.mkdir(parents=True)
+    settings = {"task": "hopper", "learner": "ppo", "seed": 3, "transport": {"endpoint": endpoint}}
+    (folder / "settings.json").write_text(json.dumps(settings))
+    if complete:
+        put_summary(folder)
+    return folder
+
+
+def put_summary(folder: Path) -> None:
+    summary = {
+        "run": "hopper-ppo-s3-ab12", "task": "hopper", "learner": "ppo", "seed": 3, "total_steps": 20480, "updates": 4,
+        "wall_s": 61.0, "env_steps_per_s": 512.0, "train_return_mean": 11.25, "eval_return_mean": 12.5,
+        "eval_return_std": 0.5, "eval_episodes": 64, "state_digest": "d1", "complete": True,
+    }  # fmt: skip
+    (folder / "summary.json").write_text(json.dumps(summary))
+
+
+def test_without_an_address_the_newest_run_is_asked(
+    tmp_path: Path, learner: Session, endpoint: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`train` has chosen its port by itself: the run of this folder has it."""
+    monkeypatch.chdir(tmp_path)
+    put_run(tmp_path / "runs" / "old", "tcp/127.0.0.1:9")
+    os.utime(tmp_path / "runs" / "old" / "settings.json", (1000, 1000))
+    put_run(tmp_path / "runs" / "new", endpoint)
+    assert main(["status", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["run"] == "hopper-ppo-s0-ab12"
+
+
+def test_an_address_of_the_environment_takes_precedence_over_runs(
+    tmp_path: Path, learner: Session, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was chosen by the user; the newest run is a guess."""
+    monkeypatch.chdir(tmp_path)
+    put_run(tmp_path / "runs" / "new", "tcp/127.0.0.1:9")
+    monkeypatch.setenv("RESKPN_TRANSPORT__ENDPOINT", endpoint)
+    assert main(["status"]) == 0
+
+
+def test_a_finished_run_shows_its_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And says so; nobody is asked. For machines it is the summary itself."""
+    run = put_run(tmp_path / "run", "tcp/127.0.0.1:9", complete=True)
+    assert main(["status", "--run-dir", str(run)]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        f"hopper-ppo-s3-ab12: ppo on hopper has finished; {run}",
+        "20,480 steps in 4 updates, seed 3, 61 s, 512 steps/s",
+        "final evaluation: return 12.5 ± 0.5 over 64 episodes",
+        "return while training: 11.2",
+        "state digest d1",
+    ]
+    assert main(["status", "--run-dir", str(run), "--json", "--watch"]) == 0
+    assert json.loads(capsys.readouterr().out)["state_digest"] == "d1"
+
+
+def test_a_run_that_is_not_running(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No firewall is suspected: the sentence says how to continue it."""
+    monkeypatch.setattr(status_module, "CONNECT_S", 0.2)
+    run = put_run(tmp_path / "run", f"tcp/127.0.0.1:{free_port()}")
+    assert main(["status", "--run-dir", str(run)]) == 3
+    assert capsys.readouterr().err == (
+        f"reskpn status: {run} is not finished and not running; continue it with: reskpn train --resume {run}\n"
+    )
+
+
+def test_no_run_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The default address was asked, and there are two ways to give another."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(status_module, "_endpoint_in", lambda run_dir: f"tcp/127.0.0.1:{free_port()}")
+    monkeypatch.setattr(status_module, "CONNECT_S", 0.2)
+    assert main(["status"]) == 3
+    assert capsys.readouterr().err.endswith("There is no run in runs/ here; give --endpoint or --run-dir.\n")
+
+
+def test_watching_waits_for_a_learner_and_follows_it_to_another_port(
+    tmp_path: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The run directory has the address of the learner before; it is read again until one answers.
+
+    Here the learner comes with the second look, and ends the run with its second answer.
+    """
+    monkeypatch.setattr(status_module, "CONNECT_S", 0.2)
+    monkeypatch.setattr(status_module, "WATCH_S", 0.01)
+    run = put_run(tmp_path / "run", f"tcp/127.0.0.1:{free_port()}")
+    said: list[str] = []
+
+    with open_session(listen=[endpoint], max_message_size=1 << 20) as learner:
+        asked = []
+
+        def answer(request: Request) -> None:
+            asked.append(request)
+            request.reply(report().encode())
+            if len(asked) == 2:
+                put_summary(run)
+                learner.close()
+
+        learner.serve(STATUS, answer)
+
+        def say(text: str) -> None:
+            said.append(text)
+            settings = json.loads((run / "settings.json").read_text())
+            settings["transport"]["endpoint"] = endpoint
+            (run / "settings.json").write_text(json.dumps(settings))
+
+        assert status_of_run(run, as_json=True, watch=True, stop=STOP, say=say) == 0
+    assert said == [f"waiting for the learner of {run}; Ctrl-C ends this"]
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["state_digest"] == "d1"

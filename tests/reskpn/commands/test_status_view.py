@@ -139,3 +139,26 @@ def test_durations(seconds: float, text: str) -> None:
 def test_numbers() -> None:
     """Whole ones with commas, huge ones short."""
     assert [number(value) for value in (None, 0.0, 1234.6, 1e308)] == ["-", "0", "1,235", "1.0e+308"]
+
+
+@pytest.mark.parametrize("width", [80, 60, 40])
+def test_a_narrow_terminal(width: int) -> None:
+    """No line is wider, no word is broken: the least needed columns are left out, and lines end between figures."""
+    given = report(slots=3, actors=[actor(0), actor(2)], vacancies=[VacancyReport(slot=1, lost=True, for_s=9)])
+    lines = shown(given, width)
+    assert max(map(len, lines)) <= width
+    table = next(index for index, line in enumerate(lines) if line.startswith("slot"))
+    assert [line.split()[0] for line in lines[table : table + 4]] == ["slot", "0", "1", "2"]
+    names = [column.name for column in COLUMNS]
+    assert set(lines[table].split()) < set(names)
+    assert "lost its actor 9.0 s" in lines[table + 2]
+    figures = ["update 7/100", "steps 7,000/100,000", "steps/s 2,500", "return 12.2", "reward 0.75", "actors 2/3"]
+    assert all(any(figure in line for line in lines) for figure in figures)
+
+
+def test_columns_at_eighty() -> None:
+    """What is left of the table in the usual terminal."""
+    lines = shown(report(), 80)
+    assert next(line for line in lines if line.startswith("slot")).split() == [
+        "slot", "host", "state", "policy", "steps/s", "heard", "accepted", "refused", "busy",
+    ]  # fmt: skip
