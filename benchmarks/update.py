@@ -1,4 +1,4 @@
-"""The cost of the RKHS part: the time of an update relative to PPO's, for every representation.
+"""The cost of the kernel parts: the time of an update relative to PPO's, for every representation and the critic.
 
     python -m benchmarks.update --task hopper --task humanoid --rounds 5
 
@@ -15,7 +15,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -41,10 +41,11 @@ Rkhs = dict[str, Any]
 
 @dataclass(frozen=True)
 class Case:
-    """A row of the table; PPO if it has no `rkhs`."""
+    """A row of the table; PPO if it has no `rkhs`, with a kernel critic if it has `critic`."""
 
     name: str
     rkhs: Rkhs | None
+    critic: dict[str, Any] = field(default_factory=dict)
 
 
 def _case(representation: str, samples: int | str, capacity: int, **more: Any) -> Case:
@@ -69,6 +70,7 @@ CASES = (
     _case("kmp", "batch", 256),
     _case("cluster", 1, 256),
     _case("basis", "batch", 256),
+    *(Case(f"critic {name}", None, {"representation": name}) for name in ("rff", "nystrom", "linear")),
 )
 
 WHOLE_EXACT = _case("exact", "batch", 20480)
@@ -79,12 +81,19 @@ class Subject:
 
     def __init__(self, case: Case, task: str) -> None:
         settings = RunSettings.model_validate(
-            {"task": task, "learner": "reskpn" if case.rkhs else "ppo", "actors": 1, "rkhs": case.rkhs or {}}
+            {
+                "task": task,
+                "learner": "reskpn" if case.rkhs else "ppo",
+                "actors": 1,
+                "rkhs": case.rkhs or {},
+                "critic": case.critic,
+            }
         )
         sizes, learner = TASKS[task], LEARNERS[settings.learner]
         networks, parameters = make_networks(
             sizes.observation_size, sizes.action_size, settings.algorithm.hidden, settings.seed, learner
         )
+        update = make_update(settings, networks)
         self._state = initial_state(
             networks,
             parameters,
@@ -93,12 +102,11 @@ class Subject:
             slots=1,
             envs_per_slot=settings.num_envs,
             seed=settings.seed,
+            critic=update.critic.empty(),
         )
         self.name = case.name
         self._batch = _random_batch(settings)
-        self._update: Callable[[LearnerState, Batch], Any] = (
-            jax.jit(make_update(settings, networks)).lower(self._state, self._batch).compile()
-        )
+        self._update: Callable[[LearnerState, Batch], Any] = jax.jit(update).lower(self._state, self._batch).compile()
 
     def seconds(self) -> tuple[float, float]:
         """Wall time of one more update and its CPU time, which other programs on the machine affect less."""
