@@ -25,6 +25,7 @@ from common.config.sources import parse_json
 from common.errors import CodecError, ReskpnError
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
+from common.physics.state_shapes import state_shapes
 from common.runs.rollout_shape import rollout_shape
 from common.tasks import TASKS
 from common.wire.assessment import Assessment
@@ -386,7 +387,8 @@ def _heartbeat(slot: int, incarnation: str) -> Heartbeat:
 
 
 def _environment(slot: int, incarnation: str, version: int) -> Environment:
-    arrays = {"obs": np.full((4, 3), version, np.float32), "steps": np.arange(4, dtype=np.int32)}
+    shapes = state_shapes(SETTINGS.task, SETTINGS.envs_per_actor)
+    arrays = {path: np.zeros(shape, dtype) for path, (dtype, shape) in shapes.items()}
     return Environment(RUN, slot, incarnation, 0, 1, version, digest_arrays(arrays), arrays)
 
 

@@ -16,4 +16,5 @@ def rollout_shape(settings: RunSettings) -> RolloutShape:
         observation_size=task.observation_size,
         action_size=task.action_size,
         branches=settings.branches // settings.actors,
+        episode_length=settings.episode_length,
     )

@@ -8,7 +8,7 @@ from typing import Annotated, Self
 import numpy as np
 
 from common.errors import CodecError
-from common.wire.codec import LIMITS, Limits
+from common.wire.codec import Limits
 from common.wire.fields import MAX_MAGNITUDE, Amount, Count, RunId, array, check_episodes, require_bounded, text
 from common.wire.keys import RUN_ID
 from common.wire.message import Message
@@ -26,6 +26,8 @@ class Assessment(Message):
     seconds apart; t is 0 where none were kept.
     """
 
+    LIMITS = Limits(max_message=1 << 20)
+
     run: RunId
     evaluator: Annotated[str, text(80, RUN_ID)]
     version: Count
@@ -35,7 +37,7 @@ class Assessment(Message):
     step_s: Amount
 
     @classmethod
-    def decode(cls, data: bytes, limits: Limits = LIMITS) -> Self:
+    def decode(cls, data: bytes, limits: Limits | None = None) -> Self:
         """As `Message.decode`.
 
         Raises `CodecError`: `bad_shape` for unequal lengths, for less than one episode or more than `MAX_EPISODES`, and

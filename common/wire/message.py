@@ -19,19 +19,22 @@ class Message:
     OLDEST_SCHEMA: ClassVar[int] = SCHEMA_VERSION
     """The oldest schema version with the same fields: what is in logs and checkpoints outlives a release."""
 
+    LIMITS: ClassVar[Limits] = LIMITS
+    """The limits that hold where `decode` is given none: small for messages that are always small."""
+
     def encode(self) -> bytes:
         """The message as msgpack; `CodecError` where a value has no form in it."""
         values = {name: _with_text_keys(getattr(self, name)) for name in _readers(type(self))}
         return codec.encode({"schema": SCHEMA_VERSION, **values})
 
     @classmethod
-    def decode(cls, data: bytes, limits: Limits = LIMITS) -> Self:
+    def decode(cls, data: bytes, limits: Limits | None = None) -> Self:
         """Read and check a message.
 
         Raises `CodecError`: the codec's reasons, `schema` for a message of another schema version, whatever else it
         holds, `missing_field`, `unknown_field`, and the reasons of `common.wire.fields`.
         """
-        raw = codec.decode(data, limits)
+        raw = codec.decode(data, limits or cls.LIMITS)
         _check_schema(cls.__name__, raw, cls.OLDEST_SCHEMA)
         readers = _readers(cls)
         given = raw.keys() - {"schema"}

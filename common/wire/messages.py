@@ -17,7 +17,7 @@ import numpy as np
 
 from common.errors import CodecError
 from common.printable import quoted
-from common.wire.codec import LIMITS, Limits
+from common.wire.codec import Limits
 from common.wire.fields import (
     Amount,
     Count,
@@ -47,6 +47,8 @@ FINISHED = "finished"
 @dataclass(frozen=True)
 class Join(Message):
     """A request to work for a learner. `run` is "" where any run will do. An evaluator is given no slot."""
+
+    LIMITS = Limits(max_message=1 << 18)
 
     run: Annotated[str, text(80)]
     role: Annotated[Literal["actor", "evaluator"], one_of("actor", "evaluator")]
@@ -148,7 +150,7 @@ class Snapshot(Message):
     arrays: Annotated[dict[str, np.ndarray], mapping(any_array)]
 
     @classmethod
-    def decode(cls, data: bytes, limits: Limits = LIMITS) -> Self:
+    def decode(cls, data: bytes, limits: Limits | None = None) -> Self:
         """As `Message.decode`; raises `CodecError("bad_digest")` where arrays and digest disagree."""
         snapshot = super().decode(data, limits)
         _check_digest(f"snapshot {snapshot.version}", snapshot.digest, snapshot.arrays)
@@ -175,7 +177,7 @@ class Environment(Message):
     arrays: Annotated[dict[str, np.ndarray], mapping(any_array)]
 
     @classmethod
-    def decode(cls, data: bytes, limits: Limits = LIMITS) -> Self:
+    def decode(cls, data: bytes, limits: Limits | None = None) -> Self:
         """As `Message.decode`; raises `CodecError("bad_digest")` where arrays and digest disagree."""
         environment = super().decode(data, limits)
         _check_digest(f"environment of slot {environment.slot}", environment.digest, environment.arrays)
@@ -185,6 +187,8 @@ class Environment(Message):
 @dataclass(frozen=True)
 class Heartbeat(Message):
     """Sent twice a second: the state of an actor, for how many seconds it has been in it (`state_s`), and its speed."""
+
+    LIMITS = Limits(max_message=1 << 12)
 
     run: RunId
     slot: Slot
@@ -204,6 +208,8 @@ class Heartbeat(Message):
 class Evaluation(Message):
     """Returns and lengths of e >= 1 deterministic episodes of one version."""
 
+    LIMITS = Limits(max_message=1 << 20)
+
     run: RunId
     slot: Slot
     incarnation: Name
@@ -212,7 +218,7 @@ class Evaluation(Message):
     episode_length: Annotated[np.ndarray, array("int32", "e")]
 
     @classmethod
-    def decode(cls, data: bytes, limits: Limits = LIMITS) -> Self:
+    def decode(cls, data: bytes, limits: Limits | None = None) -> Self:
         """As `Message.decode`; raises `bad_shape` for no episode or unequal lengths, `bad_value`, `not_finite`."""
         evaluation = super().decode(data, limits)
         check_episodes(evaluation.episode_return, evaluation.episode_length)

@@ -20,6 +20,7 @@ from common.wire.listener import make_listener_monitor, require_authentication
 from common.wire.session import Session
 from services.learner.endpoints.hub import Hub
 from services.learner.endpoints.listening import open_listener
+from services.learner.endpoints.sizes import check_rollout_size
 from services.learner.loop import TrainingLoop
 from services.learner.reporting.curves import points_of_evaluation, restore_points
 from services.learner.reporting.outlets import Outlets, open_outlets
@@ -43,6 +44,7 @@ def run_learner(
     """
     began_s = time.monotonic()
     require_authentication(settings.transport)
+    check_rollout_size(settings)
     enable_compilation_cache()
     keep_large_blocks()
     with ExitStack() as stack:

@@ -8,10 +8,12 @@ from collections.abc import Callable, Collection
 from common.config.settings import RunSettings
 from common.errors import CodecError, LogWriteError
 from common.log.writer import LogWriter
+from common.physics.state_shapes import state_shapes
 from common.printable import quoted, shortened
 from common.wire.keys import Keys
 from common.wire.messages import ACCEPTED, Environment, PushReply
 from common.wire.session import Request
+from services.learner.endpoints.environment_checks import EnvironmentChecks
 from services.learner.endpoints.replies import LOG_FAILED, QUEUE_FULL
 from services.learner.scheduling.fleet import Fleet
 from services.learner.training.checkpoints import KeptEnvironments
@@ -42,6 +44,7 @@ class EnvironmentHandler:
         self._fleet = fleet
         self._changed = changed
         self._on_refused = on_refused
+        self._checks = EnvironmentChecks(state_shapes(settings.task, settings.envs_per_actor), settings.episode_length)
         self._logged = set(logged)
         self._slots = {keys.environment(slot): slot for slot in range(settings.actors)}
         self._states: dict[int, bytes] = {}
@@ -80,6 +83,10 @@ class EnvironmentHandler:
                 raise CodecError("bad_key", f"environments of slot {given.slot} were pushed on {request.key}")
             if self._log.pending_bytes + len(request.payload) > self._queue_bytes:
                 return QUEUE_FULL
+            with self._changed:
+                wanted = self._admit(given) is None
+            if wanted:  # outside of the condition, since it looks at every element
+                self._checks.check(given.arrays)
             return self._admit_or_log(given, request)
         except CodecError as error:
             self._on_refused(error)

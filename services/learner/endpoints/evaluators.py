@@ -21,6 +21,7 @@ from common.wire.keys import Keys
 from common.wire.messages import ACCEPTED, PushReply
 from common.wire.report import EvaluationReport
 from common.wire.session import Request
+from services.learner.endpoints.rate_limit import RateLimit
 from services.learner.endpoints.replies import QUEUE_FULL
 from services.learner.reporting.evaluations import eval_record, source_of, trajectory_record
 from services.learner.scheduling.fleet import Fleet
@@ -28,6 +29,11 @@ from services.learner.scheduling.fleet import Fleet
 MAX_EVALUATORS = 16
 UNSEEN_S = 30.0
 """An evaluator that joined and declared no liveliness token within this time makes room for another."""
+
+BURST_BYTES, BYTES_PER_S = 4 << 20, 256 << 10
+"""Of the assessments of all evaluators; in the log, as JSON, they take up to twelve times as much."""
+
+TOO_FAST = PushReply.busy("rate_limited", "evaluators push more than the log is to hold: send it later")
 
 
 @dataclass
@@ -72,6 +78,7 @@ class EvaluatorHandler:
         self._on_refused = on_refused
         self._clock_s = clock_s
         self._members: dict[str, _Member] = {}
+        self._rate = RateLimit(BURST_BYTES, BYTES_PER_S, clock_s)
         self._newest: _Newest | None = None
         self._fresh: deque[dict[str, Any]] = deque()
 
@@ -134,8 +141,11 @@ class EvaluatorHandler:
             if self._log.pending_bytes + len(request.payload) > self._queue_bytes:
                 return QUEUE_FULL
             with self._changed:
-                if not self._admit(given):
+                if not self._is_new(given):
                     return ACCEPTED
+                if not self._rate.take(len(request.payload)):
+                    return TOO_FAST
+                self._members[given.evaluator].versions.add(given.version)
                 record = self._record(given)
         except CodecError as error:
             self._on_refused(error)
@@ -145,7 +155,7 @@ class EvaluatorHandler:
         self._log.write("/eval", record, on_durable=lambda: self._logged(record, request))
         return None
 
-    def _admit(self, given: Assessment) -> bool:
+    def _is_new(self, given: Assessment) -> bool:
         """Whether the assessment is to be logged: False for a duplicate. CodecError where it is not wanted."""
         member = self._members.get(given.evaluator)
         if member is None or given.run != self._run:
@@ -156,10 +166,7 @@ class EvaluatorHandler:
             raise CodecError("stale", "the run is over")
         if given.version > self._fleet.version:
             raise CodecError("bad_value", f"version is {given.version}; the newest is {self._fleet.version}")
-        if given.version in member.versions:
-            return False
-        member.versions.add(given.version)
-        return True
+        return given.version not in member.versions
 
     def _record(self, given: Assessment) -> dict[str, Any]:
         return eval_record(

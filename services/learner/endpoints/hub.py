@@ -25,6 +25,7 @@ from services.learner.endpoints.evaluators import EvaluatorHandler
 from services.learner.endpoints.joins import JoinHandler
 from services.learner.endpoints.monitor import RunMonitor
 from services.learner.endpoints.rollouts import RolloutHandler
+from services.learner.endpoints.sizes import check_snapshot_size
 from services.learner.scheduling.fleet import Fleet
 from services.learner.scheduling.modes import buffer_factory
 from services.learner.scheduling.slots import Start
@@ -113,6 +114,7 @@ class Hub:
     ) -> bytes:
         """Publish a version and collect for it as `Fleet.begin`, or no more at all; returns the snapshot's bytes."""
         data = snapshot.encode()
+        check_snapshot_size(len(data), self._settings)
         with self._changed:
             self._snapshot, self._digest = data, snapshot.digest
             overtaken = self._fleet.begin(

@@ -13,6 +13,7 @@ from common.config.settings import RunSettings
 from common.errors import CodecError, LogWriteError
 from common.log.writer import LogWriter
 from common.runs.rollout_shape import rollout_shape
+from common.wire.codec import Limits
 from common.wire.keys import Keys
 from common.wire.messages import ACCEPTED, PushReply
 from common.wire.rollout import Rollout
@@ -42,6 +43,7 @@ class RolloutHandler:
     ) -> None:
         self._keys = Keys(run)
         self._shape = rollout_shape(settings)
+        self._limits = Limits(max_message=self._shape.max_bytes)
         self._queue_bytes = settings.transport.queue_bytes
         self._log = log
         self._fleet = fleet
@@ -64,7 +66,7 @@ class RolloutHandler:
     def _take(self, request: Request) -> PushReply | None:
         """The answer to a pushed rollout, or None where the log's thread will give it."""
         try:
-            rollout = Rollout.decode(request.payload)
+            rollout = Rollout.decode(request.payload, self._limits)
         except CodecError as error:
             return PushReply.of(error)
         try:

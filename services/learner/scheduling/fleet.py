@@ -15,7 +15,7 @@ from common.printable import quoted, shortened
 from common.wire.messages import ACCEPTED, Heartbeat, Orders, PushReply
 from common.wire.rollout import Rollout
 from services.learner.scheduling.buffer import RolloutBuffer
-from services.learner.scheduling.slots import Counts, Member, Slot, Start
+from services.learner.scheduling.slots import Counts, Departed, Member, Slot, Start
 from services.learner.scheduling.sync_batch import SyncBatch
 from services.learner.scheduling.waiting import describe_missing
 
@@ -37,7 +37,7 @@ class Fleet:
         self._buffer = make_buffer(self._slots)
         self._version = 0
         self._hand_in = False
-        self._gone: set[str] = set()
+        self._departed = Departed()
         self._evaluator: int | None = None
         self._episodes = 0
         self._finished = False
@@ -47,7 +47,7 @@ class Fleet:
 
     def join(self, incarnation: str, physics: str, now_s: float) -> Slot:
         """Assign the lowest free slot. RefusedError where none is free, or this incarnation has lost its slot."""
-        if incarnation in self._gone:
+        if incarnation in self._departed:
             # Its rollouts would be taken for duplicates of those from its first time in the slot.
             raise RefusedError(f"{_shown(incarnation)} has lost its slot; join as another incarnation")
         for slot in self._slots:
@@ -84,7 +84,7 @@ class Fleet:
         for slot in self._slots:
             if slot.member is not None and slot.member.incarnation == incarnation:
                 slot.member = None
-                self._gone.add(incarnation)
+                self._departed.add(incarnation)
                 self.counts.lost += 1
                 self._buffer.actor_lost(slot)
                 if self._evaluator == slot.number:
@@ -200,7 +200,7 @@ class Fleet:
         """Free every slot, to go on at `starts`; the rest as `begin`. What was accepted stays good."""
         for slot in self._slots:
             if slot.member is not None:
-                self._gone.add(slot.member.incarnation)
+                self._departed.add(slot.member.incarnation)
                 slot.member = None
         self._set_starts(starts)
         self._buffer.start_over(settled, collect=collect)

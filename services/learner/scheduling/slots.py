@@ -93,3 +93,27 @@ class Counts:
     repeated: int = 0
     joined: int = 0
     lost: int = 0
+
+
+REMEMBERED = 4096
+
+
+class Departed:
+    """The incarnations that have lost their slots and may not come back: the newest `REMEMBERED` of them.
+
+    A run of months sees any number of incarnations, so the oldest are forgotten.
+    """
+
+    def __init__(self) -> None:
+        self._incarnations: dict[str, None] = {}
+
+    def __contains__(self, incarnation: str) -> bool:
+        return incarnation in self._incarnations
+
+    def __len__(self) -> int:
+        return len(self._incarnations)
+
+    def add(self, incarnation: str) -> None:
+        self._incarnations[incarnation] = None
+        if len(self._incarnations) > REMEMBERED:
+            del self._incarnations[next(iter(self._incarnations))]

@@ -5,6 +5,7 @@ import dataclasses
 import hashlib
 import tracemalloc
 
+import msgpack
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -459,3 +460,62 @@ def test_what_is_in_logs_of_the_previous_schema_is_read(kind):
             assert refusal(type(message), old).reason == "schema"
     error = refusal(kind, codec.encode({"schema": 1}))
     assert f"of schema 1, but this side speaks schema {SCHEMA_VERSION} and reads those from 2 on" in str(error)
+
+
+@pytest.mark.parametrize("name", ["obs", "action", "log_prob", "reward", "last_obs", "mirror_reward"])
+def test_magnitudes_that_no_update_could_be_made_of(name):
+    """A finite 3e38 overflows when it is squared: refused at admission, and read from a log all the same."""
+    array = np.array(getattr(make_rollout(), name))
+    array.flat[-1] = -3e38
+    forged = make_rollout(**{name: array})
+    forged.check(SHAPE)
+    with pytest.raises(
+        CodecError, match=f"{name} has an element of magnitude 3e\\+38; allowed: up to 1e\\+10"
+    ) as caught:
+        forged.check_magnitudes()
+    assert caught.value.reason == "too_big"
+
+
+def test_returns_and_timings_have_bounds():
+    """Four returns of 3e38 would add up to infinity; a timing of 1e308 would be shown and added."""
+    forged = make_rollout(episode_return=np.full(2, 3e38, np.float32))
+    with pytest.raises(CodecError, match="episode_return"):
+        forged.check_magnitudes()
+    error = refusal(Rollout, with_raw(make_rollout(), timing={"collect": 1e308}))
+    assert (error.reason, str(error)) == ("bad_value", "timing['collect'] is 1e+308; allowed: 0 to 1e+12")
+
+
+def test_an_episode_is_no_longer_than_the_runs():
+    """With an episode length of 1,000 steps none of 1,001."""
+    shape = dataclasses.replace(SHAPE, episode_length=1000)
+    make_rollout().check(shape)
+    with pytest.raises(CodecError, match="episode_length has 1001; allowed: 1 to 1,000 steps"):
+        make_rollout(episode_length=np.array([17, 1001], np.int32)).check(shape)
+
+
+@pytest.mark.parametrize("what", ["dtype", "shape", "key", "name", "schema"])
+def test_no_error_repeats_what_came(what):
+    """A part of 32 MB: the text stays below 500 characters, and at most 4 MB are allocated beside the part itself."""
+    giant = b"\x00" * (32 << 20)
+    raw = codec.decode(Join("", "actor", "i", {}, {}, "native").encode())
+    message = {
+        "dtype": raw | {"run": {"dtype": giant, "shape": [1], "bytes": b"1"}},
+        "shape": raw | {"run": {"dtype": "uint8", "shape": giant, "bytes": b"1"}},
+        "key": raw | {giant: 1},
+        "name": raw | {"role": giant},
+        "schema": raw | {"schema": giant},
+    }[what]
+    data = msgpack.packb(message)
+    tracemalloc.start()
+    with pytest.raises(CodecError) as caught:
+        Join.decode(data, Limits())
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(str(caught.value)) < 500
+    assert peak < len(giant) + (4 << 20)
+
+
+def test_small_messages_have_small_limits():
+    """A request to join of more than 256 KiB is refused by its size alone."""
+    assert refusal(Join, b"\xc1" * (300 << 10)).reason == "too_large"
+    assert refusal(Heartbeat, b"\xc1" * (5 << 10)).reason == "too_large"

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from samples import RUN, rollout, settings, snapshot
+from samples import RUN, environment_arrays, rollout, settings, snapshot
 
 from common.config.settings import TransportSettings
 from common.errors import CodecError, PhysicsError, RefusedError, SessionError
@@ -85,7 +85,7 @@ class StandIn:
         self.seq += 1
 
     def environments(self) -> dict[str, np.ndarray]:
-        return {"seq": np.array(self.seq, np.int32)}
+        return environment_arrays() | {"diverged": np.full(2, self.seq, np.int32)}
 
     def restore(self, arrays: dict[str, np.ndarray], seq: int) -> None:
         if "seq" not in arrays:
@@ -265,7 +265,7 @@ def test_one_that_stands_by_to_the_end_ends_well(
     until(learner.hub.standing_by)
     learner.hub.finish()
     assert done.result(DEADLINE_S) == 0
-    assert actors.said[-1] == f"finished: the run is over, nothing is left to do for run {RUN!r}"
+    assert actors.said[-1] == f"the run is over, nothing is left to do for run {RUN!r}"
 
 
 def test_an_actor_alone_does_the_work_of_two(
@@ -438,7 +438,7 @@ def test_environments_are_handed_in_before_they_are_used(
     kept = learner.hub.environments.kept()
     assert kept is not None
     state = Environment.decode(kept.states[0])
-    assert (state.version, state.generation, state.seq, state.arrays["seq"]) == (1, 0, 1, 1)
+    assert (state.version, state.generation, state.seq, state.arrays["diverged"][0]) == (1, 0, 1, 1)
     learner.hub.publish(snapshot(2))
     assert learner.batch() == [2.0]
     learner.hub.finish()

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
 from hub_sides import KEYS, Actor, Learner
-from samples import RUN, rollout, snapshot
+from samples import RUN, environment_arrays, rollout, snapshot
 
 from common.log.reader import LogReader
 from common.wire.messages import Environment, PushReply, digest_arrays
@@ -16,7 +15,7 @@ from services.learner.scheduling.slots import Start
 
 
 def environment(slot: int = 0, incarnation: str = "a", seq: int = 0, **changes: Any) -> Environment:
-    arrays = {"q": np.full((2, 3), seq, np.float32)}
+    arrays = environment_arrays(seq)
     values = {"run": RUN, "generation": 0, "version": 4, "digest": digest_arrays(arrays), "arrays": arrays}
     return Environment(slot=slot, incarnation=incarnation, seq=seq, **values | changes)
 
@@ -121,7 +120,7 @@ def test_a_resumed_slot_is_given_its_environments(learners: Callable[..., Learne
     assert (second.generation, second.restore) == (1, False)
     given = Environment.decode(actor.ask(KEYS.environment(0), b""))
     assert (given.seq, given.generation) == (7, 2)
-    assert (given.arrays["q"] == state.arrays["q"]).all()
+    assert (given.arrays["bodies/q"] == state.arrays["bodies/q"]).all()
     assert actor.ask(KEYS.environment(1), b"") == b""
     learner.hub.publish(snapshot(0))
     answer = PushReply.decode(actor.ask(KEYS.rollout(0), rollout(0, "a", 7, 0, generation=2).encode()))

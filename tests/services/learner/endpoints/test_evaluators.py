@@ -205,3 +205,20 @@ def test_one_that_never_showed_up_makes_room(
     assert side.join("new", role="evaluator").accepted
     assert push(side, assessment("alive")).status == "accepted"
     assert push(side, assessment("lost")).status == "refused"
+
+
+def test_assessments_are_limited_in_rate(
+    learners: Callable[..., Learner], evaluator: Callable[[str], Actor], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Room for one and a half messages, and hardly any new: the first is logged, the second is to come later."""
+    size = len(assessment().encode())
+    monkeypatch.setattr(evaluators_module, "BURST_BYTES", size * 3 // 2)
+    monkeypatch.setattr(evaluators_module, "BYTES_PER_S", 1e-6)
+    learner = learners()
+    learner.hub.publish(snapshot(3))
+    side = evaluator("e")
+    assert push(side, assessment(version=1)) == ACCEPTED
+    later = push(side, assessment(version=2))
+    assert (later.status, later.slug) == ("busy", "rate_limited")
+    assert push(side, assessment(version=1)) == ACCEPTED  # a duplicate costs nothing
+    assert [record["version"] for record in logged(learner, "/eval")] == [1]

@@ -9,6 +9,7 @@ from common.errors import RefusedError
 from common.wire.messages import ACCEPTED, Orders
 from common.wire.rollout import Rollout
 from services.learner.scheduling.fleet import Fleet
+from services.learner.scheduling.slots import REMEMBERED
 
 
 def make_fleet(slots: int, *incarnations: str) -> Fleet:
@@ -476,3 +477,14 @@ def test_a_refused_surplus_leaves_no_trace() -> None:
     push(fleet, rollout(1, "b", 0))
     fleet.begin(1)
     assert fleet.admit(rollout(0, "a", 1, 1)) is None
+
+
+def test_departed_incarnations_take_bounded_memory() -> None:
+    """Of any number the newest 4,096 are remembered, and refused."""
+    fleet = make_fleet(1)
+    for number in range(REMEMBERED + 10):
+        fleet.join(f"i{number}", "native", 0.0)
+        fleet.remove(f"i{number}")
+    assert len(fleet._departed) == REMEMBERED
+    with pytest.raises(RefusedError, match="has lost its slot"):
+        fleet.join("i10", "native", 0.0)
