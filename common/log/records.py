@@ -109,6 +109,13 @@ _UPDATE = _object(
     progress=_numbers("figures shown with the update: return, step_reward and steps_per_s; null where not known"),
 )
 
+_SET_ASIDE = _object(
+    "A logged batch that no update is made of: from here on the run goes on without it.",
+    version=_integer("version that it would have updated"),
+    rollouts=_array("its rollouts", _ROLLOUT_USED),
+    reason=_string("the option that set it aside"),
+)
+
 _EPISODE = _object(
     "The training episodes that ended in the rollouts of one update.",
     version=_integer("version that resulted from the update"),
@@ -163,6 +170,7 @@ CHANNELS: dict[str, ChannelSpec] = {
         ChannelSpec("/spec", "json", _SPEC),
         ChannelSpec("/rollout", "msgpack"),
         ChannelSpec("/update", "json", _UPDATE),
+        ChannelSpec("/set_aside", "json", _SET_ASIDE),
         ChannelSpec("/policy", "msgpack"),
         ChannelSpec("/environment", "msgpack"),
         ChannelSpec("/episode", "json", _EPISODE),

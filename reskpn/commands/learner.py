@@ -9,7 +9,15 @@ from common.config.effects import settings_without_effect
 from common.config.settings import RunSettings
 from common.output import say
 from reskpn.commands.command import Command
-from reskpn.commands.resuming import AUTO, lock_run, notify_pending_actors, run_to_resume, settings_to_resume
+from reskpn.commands.resuming import (
+    AUTO,
+    add_skip_batch,
+    lock_run,
+    notify_pending_actors,
+    refuse_stray_skip,
+    run_to_resume,
+    settings_to_resume,
+)
 from reskpn.commands.settings_options import add_settings, settings_epilog, settings_given, settings_given_over
 
 
@@ -21,6 +29,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help=f"continue the unfinished run in that directory; {AUTO}: the one in --run-dir, else the newest one in "
         "runs/ if it has these settings, else start a new run",
     )
+    add_skip_batch(parser)
     parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--lock-fd", type=int, help=argparse.SUPPRESS)
 
@@ -31,6 +40,7 @@ def run(given: argparse.Namespace) -> int:
     from services.learner.service import run_learner
 
     over = settings_given_over(given)
+    refuse_stray_skip(given)
     resume = given.resume
     if resume is None or resume == AUTO:
         new = settings_given(given)
@@ -44,7 +54,7 @@ def run(given: argparse.Namespace) -> int:
             if settings is None:
                 return notify_pending_actors(Path(resume), over, stop, lock)
             _print_effects(settings)
-            return run_learner(settings, stop=stop, resume=True, lock=lock)
+            return run_learner(settings, stop=stop, resume=True, skip_batch=given.skip_batch, lock=lock)
 
 
 def _print_effects(settings: RunSettings) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import threading
 from collections.abc import Callable
 from pathlib import Path
 
 from common.config.settings import RunSettings
+from common.errors import SettingsError
 from common.log.lock import LogLock
 from common.log.repair import refuse_links
 from common.log.segments import LOG_DIRECTORY
@@ -21,6 +23,21 @@ from common.runs.resumed_settings import (
 )
 
 AUTO = "auto"
+
+
+def add_skip_batch(parser: argparse.ArgumentParser) -> None:
+    """Add `--skip-batch`."""
+    parser.add_argument(
+        "--skip-batch",
+        action="store_true",
+        help="with --resume: set aside the logged batch of the next update, which could not be used",
+    )
+
+
+def refuse_stray_skip(given: argparse.Namespace) -> None:
+    """SettingsError for --skip-batch without a run to resume."""
+    if given.skip_batch and given.resume in (None, AUTO):
+        raise SettingsError("--skip-batch goes with --resume RUN_DIR: it skips the batch at which that run stopped")
 
 
 def lock_run(run_dir: Path, inherited: int | None = None) -> LogLock:

@@ -7,26 +7,30 @@ from functools import partial
 from pathlib import Path
 
 from reskpn.commands.command import Command
-from reskpn.commands.resuming import close_log, lock_run, settings_to_resume
+from reskpn.commands.resuming import add_skip_batch, close_log, lock_run, refuse_stray_skip, settings_to_resume
 from reskpn.commands.settings_options import add_settings, settings_epilog, settings_given, settings_given_over
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     parser.add_argument("--resume", metavar="RUN_DIR", help="continue the unfinished run in that directory")
+    add_skip_batch(parser)
 
 
 def run(given: argparse.Namespace) -> int:
     """Train; returns the learner's exit code."""
     from reskpn.supervision.supervisor import train
 
+    refuse_stray_skip(given)
     if given.resume is None:
         return train(settings_given(given))
     # No process is left that was told the run's former address: a free port is as good.
     over = partial(settings_given_over(given), own_endpoint=False)
     with lock_run(Path(given.resume)) as lock:
         settings = settings_to_resume(Path(given.resume), over)
-        return close_log(Path(given.resume), lock) if settings is None else train(settings, resume=lock)
+        if settings is None:
+            return close_log(Path(given.resume), lock)
+        return train(settings, resume=lock, skip_batch=given.skip_batch)
 
 
 COMMAND = Command(add_options, run, settings_epilog())

@@ -21,10 +21,11 @@ from reskpn.supervision.stopping import stopping
 POLL_S = 0.1
 
 
-def train(settings: RunSettings, *, resume: LogLock | None = None) -> int:
+def train(settings: RunSettings, *, resume: LogLock | None = None, skip_batch: bool = False) -> int:
     """Run to the end and return the learner's exit code.
 
-    `resume`: the lock of the unfinished run in `settings.run_dir` to continue, whose settings these are.
+    `resume`: the lock of the unfinished run in `settings.run_dir` to continue, whose settings these are;
+    `skip_batch`: without the logged batch of its next update.
 
     Actors are started beside the learner, not after it: all of them take seconds to load.
 
@@ -41,6 +42,7 @@ def train(settings: RunSettings, *, resume: LogLock | None = None) -> int:
         config.write_text(settings.model_dump_json())
         stop = stack.enter_context(stopping(supervised=False))
         how = [] if resume is None else ["--resume", str(run_dir), "--lock-fd", str(resume.fd)]
+        how += ["--skip-batch"] if skip_batch else []
         learner = processes.start(
             [*processes.reskpn_command("learner"), "--config", str(config), *how],
             keep=() if resume is None else (resume.fd,),

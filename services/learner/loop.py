@@ -7,20 +7,19 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 
 from common.config.settings import RunSettings
 from common.errors import NumericsError
 from common.log.records import encode_json
 from common.wire.messages import Evaluation
-from common.wire.report import Progress
 from common.wire.rollout import Rollout
 from services.learner.endpoints.hub import Hub
-from services.learner.reporting.curves import points_of_evaluation, points_of_update
+from services.learner.reporting.curves import points_of_evaluation
 from services.learner.reporting.outlets import Outlets
 from services.learner.reporting.public import public_update
-from services.learner.reporting.statistics import Episodes, step_reward
+from services.learner.reporting.recorder import UpdateRecorder
 from services.learner.reporting.summary import Outcome
 from services.learner.reporting.updates import AppliedUpdate
 from services.learner.resume.resumed_replay import ResumedReplay
@@ -60,15 +59,12 @@ class TrainingLoop:
         self._checkpoints = checkpoints
         self._resumed_replay = resumed_replay
         self._stop = stop
-        self._returns = resumed_replay.returns(settings.updates)
+        self._recorder = UpdateRecorder(settings, outlets, resumed_replay.returns(settings.updates))
         self._physics: set[str] = set()
         self._digest = trainer.digest()
         self._trained_s = 0.0
         self._began_s: float | None = None
         self._began_version = 0
-        self._centres = 0
-        self._staleness = 0.0
-        self._step_reward: float | None = None
         self._log_busy_s = 0.0
 
     @property
@@ -88,7 +84,7 @@ class TrainingLoop:
             complete=self._trainer.version == self._settings.updates,
             env_steps=self.env_steps,
             steps_per_s=self.steps_per_s,
-            returns=self._returns,
+            returns=self._recorder.returns,
             physics=frozenset(self._physics),
             digest=self._digest,
         )
@@ -166,7 +162,7 @@ class TrainingLoop:
                 metrics = self._trainer.update(rollouts)
             except NumericsError as error:
                 self._keep_last()
-                raise NumericsError(f"{error}. Version {self._trainer.version} is the last good one") from None
+                raise NumericsError(f"{error}. {self._last_good()}") from None
             updated_s = time.monotonic()
             snapshot = self.publish()
             published_s = time.monotonic()
@@ -183,8 +179,7 @@ class TrainingLoop:
                 "record": time.monotonic() - published_s,
                 "log": self._log_seconds(),
             }
-            progress = self._progress_with(version, rollouts)
-            yield AppliedUpdate(version, self.env_steps, self._digest, rollouts, metrics, seconds, progress)
+            yield AppliedUpdate(version, self.env_steps, self._digest, rollouts, metrics, seconds)
 
     def _keep(self, version: int, snapshot: bytes, environments: KeptEnvironments | None) -> None:
         """Keep the policy, a checkpoint, and the environments that the checkpoint of the version before needs."""
@@ -206,6 +201,12 @@ class TrainingLoop:
             self._outlets.log.write("/policy", make_snapshot(self._checkpoints.run, version, arrays).encode())
         if version and not self._is_checkpoint(version):
             self._checkpoints.keep(version, self._trainer.state_arrays())
+
+    def _last_good(self) -> str:
+        return (
+            f"Version {self._trainer.version} is the last good one; to continue from it with another batch: "
+            f"reskpn train --resume {self._checkpoints.run_dir} --skip-batch"
+        )
 
     def _is_checkpoint(self, version: int) -> bool:
         """Whether the state of this version is kept in a file; version 0 follows from the settings."""
@@ -251,49 +252,16 @@ class TrainingLoop:
 
     def _record(self, update: AppliedUpdate) -> None:
         self._physics |= self._hub.engines()
-        self._centres = round(update.metrics.get("rkhs/centres", 0))
-        self._staleness = update.staleness["mean"]
+        self._recorder.count(update)
         if not self._resumed_replay.covers(update.version - 1):
-            self._write(update)
+            episodes_logged = self._resumed_replay.holds("/episode", update.version)
+            record = self._recorder.write(update, self.steps_per_s, episodes_logged=episodes_logged)
+            self._hub.publish_metrics(encode_json(public_update(record)))
         self._show("training", "")
 
-    def _write(self, update: AppliedUpdate) -> None:
-        ended = Episodes.of(update.rollouts).record(update.version)
-        if ended is not None and not self._resumed_replay.holds("/episode", update.version):
-            self._outlets.log.write("/episode", ended)
-        record = update.record()
-        self._outlets.log.write("/update", record)
-        self._hub.publish_metrics(encode_json(public_update(record)))
-        self._outlets.scalars.add(update.env_steps, points_of_update(record))
-        self._outlets.scalars.flush()
-
-    def _progress_with(self, version: int, rollouts: Sequence[Rollout]) -> dict[str, float | None]:
-        """Take in the episodes and rewards of an update; returns the figures that are shown with it."""
-        self._returns.add(version, Episodes.of(rollouts))
-        self._step_reward = step_reward(rollouts)
-        return {
-            "return": self._returns.newest,
-            "step_reward": self._step_reward,
-            "steps_per_s": self.steps_per_s,
-        }
-
     def _show(self, phase: str, text: str) -> None:
-        progress = Progress(
-            phase=phase,
-            text=text,
-            version=self._trainer.version,
-            updates=self._settings.updates,
-            env_steps=self.env_steps,
-            total_steps=self._settings.updates * self._settings.batch_size,
-            steps_per_s=self.steps_per_s,
-            train_return=self._returns.newest,
-            step_reward=self._step_reward,
-            staleness=self._staleness,
-            centres=self._centres,
-            capacity=self._settings.capacity,
-            actors=self._hub.actors(),
-            slots=self._settings.actors,
-        )
+        version, actors = self._trainer.version, self._hub.actors()
+        progress = self._recorder.progress(phase, text, version, self.steps_per_s, actors)
         self._outlets.display.show(progress)
         self._hub.publish_progress(progress)
         self.draw_evaluations()

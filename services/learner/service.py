@@ -32,12 +32,17 @@ from services.learner.training.trainer import Trainer
 
 
 def run_learner(
-    settings: RunSettings, *, stop: threading.Event, resume: bool = False, lock: LogLock | None = None
+    settings: RunSettings,
+    *,
+    stop: threading.Event,
+    resume: bool = False,
+    skip_batch: bool = False,
+    lock: LogLock | None = None,
 ) -> int:
     """Serve one run to its end, in this process. Returns the exit code: 0, or 130 where `stop` was set.
 
-    `resume`: go on with the unfinished run in `settings.run_dir`, whose settings these are. `lock`: of its log, where
-    the caller holds it.
+    `resume`: go on with the unfinished run in `settings.run_dir`, whose settings these are; `skip_batch`: without the
+    logged batch of its next update. `lock`: of its log, where the caller holds it.
 
     Raises:
         ReskpnError: anything that keeps the run from going on. The log is closed and whole then.
@@ -54,10 +59,12 @@ def run_learner(
         run_dir = settings.run_dir if resume else claim_run_dir(settings)
         assert run_dir is not None
         lock = lock or stack.enter_context(LogLock(run_dir / LOG_DIRECTORY))
-        resumption = _resume(settings, run_dir, lock) if resume else None
+        resumption = _resume(settings, run_dir, lock, skip_batch=skip_batch) if resume else None
         write_settings(run_dir, settings)
         resumption = resumption or Resumption(_new_name(settings))
         outlets = stack.enter_context(open_outlets(resumption.run, settings, run_dir, stop, lock))
+        if resumption.set_aside is not None:
+            outlets.log.write("/set_aside", resumption.set_aside)
         restore_points(outlets.scalars, run_dir)
         for note in resumption.notes:
             outlets.events.add("info", "resumed", note)
@@ -118,8 +125,8 @@ def _run_to_its_end(
     return summary
 
 
-def _resume(settings: RunSettings, run_dir: Path, lock: LogLock) -> Resumption | None:
-    resumption = plan_resumption(settings, run_dir, lock)
+def _resume(settings: RunSettings, run_dir: Path, lock: LogLock, *, skip_batch: bool) -> Resumption | None:
+    resumption = plan_resumption(settings, run_dir, lock, skip_batch=skip_batch)
     (run_dir / SUMMARY).unlink(missing_ok=True)  # of a run that was stopped: it is not over
     return resumption
 

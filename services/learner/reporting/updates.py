@@ -18,7 +18,6 @@ class AppliedUpdate:
         version: the version it led to; env_steps: environment steps up to there.
         digest: of the state it led to.
         loop_seconds: the learner's seconds by phase; "log" ran beside the others.
-        progress: the shown figures at this update: "return", "step_reward" and "steps_per_s"; None where unknown.
     """
 
     version: int
@@ -27,7 +26,6 @@ class AppliedUpdate:
     rollouts: Sequence[Rollout]
     metrics: Mapping[str, float]
     loop_seconds: Mapping[str, float]
-    progress: Mapping[str, float | None]
 
     @property
     def staleness(self) -> dict[str, float]:
@@ -41,8 +39,11 @@ class AppliedUpdate:
         actors = actor_seconds(self.rollouts)
         return {**self.loop_seconds, **{f"actor/{name}": value for name, value in actors.items()}}
 
-    def record(self) -> dict[str, Any]:
-        """The `/update` message. With the incarnations whole: it is for the log alone."""
+    def record(self, progress: Mapping[str, float | None]) -> dict[str, Any]:
+        """The `/update` message, with the figures that are shown at this update; None where one is not known.
+
+        Incarnations are whole, so it is for the log alone.
+        """
         return {
             "version": self.version,
             "env_steps": self.env_steps,
@@ -60,5 +61,5 @@ class AppliedUpdate:
             "metrics": dict(self.metrics),
             "seconds": self.seconds,
             "staleness": self.staleness,
-            "progress": dict(self.progress),
+            "progress": dict(progress),
         }

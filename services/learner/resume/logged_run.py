@@ -42,6 +42,7 @@ class LoggedRun:
         episodes: the `/episode` records.
         environments: (version, slot, generation) of the environment states in the log.
         ahead: (topic, version) of records beyond the last update.
+        set_aside: places of the rollouts that were set aside, by the version that they would have updated.
         first_version: version of the first update in each segment; None where it has none.
     """
 
@@ -54,6 +55,7 @@ class LoggedRun:
     environments: set[tuple[int, int, int]] = field(default_factory=set)
     ahead: set[tuple[str, int]] = field(default_factory=set)
     first_version: list[int | None] = field(default_factory=list)
+    set_aside: dict[int, set[RolloutId]] = field(default_factory=dict)
 
     @property
     def last(self) -> int:
@@ -102,6 +104,9 @@ def read_logged_run(run_dir: Path, settings: RunSettings) -> LoggedRun:
             elif message.topic == "/update":
                 version = _add_update(found, message.json())
                 first = version if first is None else first
+            elif message.topic == "/set_aside":
+                record = message.json()
+                found.set_aside.setdefault(int(record["version"]), set()).update(_places(record))
             elif message.topic == "/episode":
                 found.episodes.append(message.json())
             elif message.topic == "/environment":
@@ -115,9 +120,12 @@ def read_logged_run(run_dir: Path, settings: RunSettings) -> LoggedRun:
 
 def _add_update(found: LoggedRun, record: dict[str, Any]) -> int:
     version = int(record["version"])
-    places = tuple(RolloutId(used["slot"], used["generation"], used["seq"]) for used in record["rollouts"])
-    found.updates[version] = UpdateEntry(record["state_digest"], places)
+    found.updates[version] = UpdateEntry(record["state_digest"], _places(record))
     return version
+
+
+def _places(record: dict[str, Any]) -> tuple[RolloutId, ...]:
+    return tuple(RolloutId(used["slot"], used["generation"], used["seq"]) for used in record["rollouts"])
 
 
 def _unused(found: LoggedRun, rollouts: deque[bytes]) -> list[Rollout]:
@@ -129,6 +137,7 @@ def _unused(found: LoggedRun, rollouts: deque[bytes]) -> list[Rollout]:
         if version in found.updates
         for place in found.updates[version].places
     }
+    used.update(*found.set_aside.values())
     decoded = [Rollout.decode(data) for data in rollouts]
     # The next version is published, and acted by, before the update to it is recorded.
     return [made for made in decoded if made.policy_version >= oldest and made.id not in used]

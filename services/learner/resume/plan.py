@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from common.log.segments import LOG_DIRECTORY, list_segments
 from common.wire.rollout import RolloutId
 from services.learner.resume.logged_run import LoggedRun, read_logged_run
 from services.learner.resume.restore_point import RestorePoint, choose_restore_point
+from services.learner.resume.set_aside import next_batch, set_aside_record
 from services.learner.resume.tail import Tail, divergence
 from services.learner.scheduling.slots import Start
 
@@ -36,6 +38,7 @@ class Resumption:
         tail: the content of the log after the restore point.
         log_only_reason: the reason why acting is not even tried for the tail; None where it is.
         episodes: `/episode` records up to the restore point.
+        set_aside: the `/set_aside` record of a batch that the run goes on without from now on; None for none.
         notes: for a person, line by line.
     """
 
@@ -48,16 +51,23 @@ class Resumption:
     log_only_reason: str | None = None
     logged_environments: frozenset[tuple[int, int, int]] = frozenset()
     episodes: Sequence[dict[str, Any]] = ()
+    set_aside: dict[str, Any] | None = None
     notes: Sequence[str] = ()
 
 
-def plan_resumption(settings: RunSettings, run_dir: Path, lock: LogLock | None = None) -> Resumption | None:
+def plan_resumption(
+    settings: RunSettings, run_dir: Path, lock: LogLock | None = None, *, skip_batch: bool = False
+) -> Resumption | None:
     """Repair the log in `run_dir`, read it, and choose the newest restore point that it confirms.
 
     None where the run was interrupted before its log had begun: there is nothing to go on from, and nothing is lost.
     The caller that goes on to write the log holds its `lock`: another process could otherwise write in between.
 
+    Args:
+        skip_batch: set aside the logged batch of the next update.
+
     Raises:
+        SettingsError: the log has no batch to set aside.
         LogReadError, LogWriteError: the log is damaged before its end, or another learner is writing it.
         CheckpointError: the run has neither a checkpoint nor the beginning of its log.
     """
@@ -68,6 +78,7 @@ def plan_resumption(settings: RunSettings, run_dir: Path, lock: LogLock | None =
     if run is None:
         return None
     logged = _read(run_dir, settings)
+    set_aside = _set_aside(logged, notes) if skip_batch else None
     point = choose_restore_point(run, settings, run_dir, logged, notes)
     updates = logged.places(point.version)
     log_only_reason = _log_only_reason(settings, point, logged, updates)
@@ -83,8 +94,20 @@ def plan_resumption(settings: RunSettings, run_dir: Path, lock: LogLock | None =
         log_only_reason=log_only_reason,
         logged_environments=frozenset(logged.environments),
         episodes=[record for record in logged.episodes if record["version"] <= point.version],
+        set_aside=set_aside,
         notes=notes,
     )
+
+
+def _set_aside(logged: LoggedRun, notes: list[str]) -> dict[str, Any]:
+    """Take the next batch out of the rollouts that are left for updates; returns the record of it."""
+    batch = next_batch(logged)
+    record = set_aside_record(logged.last, batch)
+    ids = {rollout.id for rollout in batch}
+    logged.unused = [rollout for rollout in logged.unused if rollout.id not in ids]
+    logged.set_aside.setdefault(logged.last, set()).update(ids)
+    notes.append(f"set aside: the {len(batch)} rollouts for the update after {logged.last}; others replace them")
+    return record
 
 
 def repair_log(run_dir: Path, lock: LogLock | None = None) -> list[str]:
@@ -113,6 +136,9 @@ def _log_only_reason(
     """The reason why the tail's updates are made from its rollouts, without acting; None where actors act."""
     if settings.mode == "async":
         return "in async mode what actors make depends on the timing, and cannot be made again"
+    if (skipped := [version for version in logged.set_aside if version >= point.version]) and point.starts:
+        # The same environments would make the same rollouts, which were of no use.
+        return f"the batch that would have updated version {max(skipped)} was set aside"
     if logged.last >= settings.updates:
         return "no environments are needed any more" if updates else None
     unused = [
@@ -126,7 +152,8 @@ def _fresh_starts(slots: int, point: RestorePoint, logged: LoggedRun) -> list[St
     """New environments for every slot, of generations that the log does not have."""
     next_free = [start.generation + 1 for start in point.starts] or [0] * slots
     places = [place for entry in logged.updates.values() for place in entry.places]
-    for slot, generation, _ in [*places, *(rollout.id for rollout in logged.unused)]:
+    unused = [*(rollout.id for rollout in logged.unused), *chain.from_iterable(logged.set_aside.values())]
+    for slot, generation, _ in [*places, *unused]:
         next_free[slot] = max(next_free[slot], generation + 1)
     return [Start(generation) for generation in next_free]
 

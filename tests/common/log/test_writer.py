@@ -36,6 +36,7 @@ def one_of_each() -> dict[str, bytes | dict[str, Any]]:
             "seconds": {"update": 0.3},
             "staleness": {"min": 0, "mean": 0.0, "max": 0},
         },
+        "/set_aside": {"version": 1, "rollouts": [{"slot": 0, "incarnation": "a1", "seq": 1}], "reason": "asked for"},
         "/policy": b"\x93\x01\x02\x03",
         "/environment": b"\x81\xa3run",
         "/episode": {"version": 1, "count": 2, "return_mean": 1.5},

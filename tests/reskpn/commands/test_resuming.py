@@ -34,12 +34,14 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, RunSettings, bool]
     """Instead of running: which command began, with which settings, and whether it resumes."""
     calls: list[tuple[str, RunSettings, bool]] = []
 
-    def train(settings: RunSettings, *, resume: object = None) -> int:
-        calls.append(("train", settings, resume is not None))
+    def train(settings: RunSettings, *, resume: object = None, skip_batch: bool = False) -> int:
+        calls.append(("train without a batch" if skip_batch else "train", settings, resume is not None))
         return 0
 
-    def run_learner(settings: RunSettings, *, stop: object, resume: bool = False, lock: object = None) -> int:
-        calls.append(("learner", settings, resume))
+    def run_learner(
+        settings: RunSettings, *, stop: object, resume: bool = False, skip_batch: bool = False, lock: object = None
+    ) -> int:
+        calls.append(("learner without a batch" if skip_batch else "learner", settings, resume))
         return 0
 
     monkeypatch.setattr(reskpn.supervision.supervisor, "train", train)
@@ -62,6 +64,17 @@ def test_train_resumes_with_the_settings_of_the_run(begun: list[Any], run_dir: P
     ((command, settings, resume),) = begun
     assert (command, resume, settings.seed, settings.run_dir) == ("train", True, 4, run_dir)
     assert "endpoint" not in settings.transport.model_fields_set
+
+
+@pytest.mark.parametrize("command", ["train", "learner"])
+def test_a_batch_is_skipped_where_a_run_is_resumed(
+    begun: list[Any], run_dir: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    """`--skip-batch` goes with `--resume RUN_DIR`, and is refused without a run that has such a batch."""
+    assert main([command, "--resume", str(run_dir), "--skip-batch"]) == 0
+    assert [name for name, _, _ in begun] == [f"{command} without a batch"]
+    assert main([command, "--skip-batch"]) == 2
+    assert "--skip-batch goes with --resume RUN_DIR" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("how", [["--resume", "{}"], ["--resume", "auto", "--run-dir", "{}"]])

@@ -23,7 +23,7 @@ from services.learner.reporting.updates import AppliedUpdate
 def update(version: int, newest_return: float | None = 8.0) -> dict[str, Any]:
     progress = {"return": newest_return, "step_reward": 0.5, "steps_per_s": 60.0}
     rollouts = [rollout(policy_version=version - 1)]
-    return AppliedUpdate(version, 12 * version, "d", rollouts, {"train/kl": 0.25}, {"wait": 1.0}, progress).record()
+    return AppliedUpdate(version, 12 * version, "d", rollouts, {"train/kl": 0.25}, {"wait": 1.0}).record(progress)
 
 
 def evaluation(version: int, source: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from samples import RUN, rollout, settings, snapshot, update_record
 
-from common.errors import CheckpointError, LogReadError
+from common.errors import CheckpointError, LogReadError, SettingsError
 from common.log.writer import LogWriter
 from common.wire.messages import Environment, Snapshot, digest_arrays
 from services.learner.resume.plan import Resumption, plan_resumption
@@ -97,6 +97,59 @@ def test_the_newest_complete_checkpoint(tmp_path: Path) -> None:
     assert [one.id for one in found.tail.rollouts(7)] == [(0, 0, 7)]
     assert [record["version"] for record in found.episodes] == [1, 2, 3, 4, 5, 6]
     assert found.notes[-1].endswith("environments of 2 slots; a tail of 1 updates and 1 rollouts not yet used")
+
+
+def test_a_batch_is_set_aside(tmp_path: Path) -> None:
+    """The logged batch of the next update is none any more, and the same environments do not make it once more: every
+    slot begins with new ones. Without a complete batch there is nothing to set aside."""
+    write_log(tmp_path, 7, unused=2)
+    keep(tmp_path, 6)
+    found = plan_resumption(SETTINGS, tmp_path, skip_batch=True)
+    assert found is not None
+    assert found.tail.unused == []
+    assert found.log_only_reason == "the batch that would have updated version 7 was set aside"
+    assert found.starts == [Start(1), Start(1)]
+    assert "set aside: the 2 rollouts for the update after 7; others replace them" in found.notes
+    record = found.set_aside
+    assert record is not None
+    assert record["version"] == 7
+    assert [(one["slot"], one["generation"], one["seq"]) for one in record["rollouts"]] == [(0, 0, 7), (1, 0, 7)]
+    write_log(tmp_path / "other", 7, unused=1)
+    with pytest.raises(SettingsError, match=r"has 1 of 2 rollouts for the update after 7: there is no complete batch"):
+        plan_resumption(SETTINGS, tmp_path / "other", skip_batch=True)
+
+
+def test_a_batch_stays_set_aside(tmp_path: Path) -> None:
+    """The log says so: resumed once more, before or after other rollouts took its place, it needs no option."""
+    write_log(tmp_path, 7, unused=2)
+    keep(tmp_path, 6)
+    first = plan_resumption(SETTINGS, tmp_path, skip_batch=True)
+    assert first is not None
+    assert first.set_aside is not None
+    with LogWriter(tmp_path / "log", metadata=METADATA) as log:
+        log.write("/set_aside", first.set_aside)
+    second = resumed(tmp_path)
+    assert (second.tail.unused, second.starts, second.set_aside) == ([], [Start(1), Start(1)], None)
+    pair = [dataclasses.replace(rollout(slot, "cd"[slot], 0, 7), generation=1) for slot in (0, 1)]
+    with LogWriter(tmp_path / "log", metadata=METADATA) as log:
+        for one in pair:
+            log.write("/rollout", one.encode())
+        log.write("/update", update_record(8, snapshot(8).digest, pair))
+    third = resumed(tmp_path)
+    assert third.log_only_reason is not None
+    assert [one.id for one in third.tail.rollouts(7)] == [(0, 1, 0), (1, 1, 0)]
+    assert third.starts == [Start(2), Start(2)]
+    # From a checkpoint after it, acting reproduces the log as ever.
+    keep(tmp_path, 8)
+    assert resumed(tmp_path).log_only_reason is None
+
+
+def test_a_batch_is_set_aside_in_async_mode(tmp_path: Path) -> None:
+    """The oldest rollouts of the queue, as many as an update takes; those behind them stay."""
+    write_log(tmp_path, 7, unused=2, early=1)
+    found = plan_resumption(settings(mode="async"), tmp_path, skip_batch=True)
+    assert found is not None
+    assert [one.id for one in found.tail.unused] == [(0, 0, 8)]
 
 
 def test_evaluations_of_a_version_may_repeat(tmp_path: Path) -> None:
