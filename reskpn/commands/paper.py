@@ -10,6 +10,7 @@ from reskpn.commands.command import EXIT_CODES, Command
 from reskpn.study.experiments import SCALES
 
 RESULTS = Path("study/results")
+OUT = Path("docs/study")
 
 EPILOG = f"""\
 `run` makes the runs whose results are missing and may be stopped at any time: every finished run is a file of its own.
@@ -23,19 +24,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     uses = parser.add_subparsers(dest="use", required=True, metavar="{list,run,draw}")
     listing = uses.add_parser("list", help="the experiments, with the runs that each has and needs")
     running = uses.add_parser("run", help="make the runs that are missing")
-    for use in (listing, running):
+    drawing = uses.add_parser("draw", help="draw figures and tables from the results that there are")
+    for use in (listing, running, drawing):
         use.add_argument("names", nargs="*", metavar="EXPERIMENT", help="default: all")
         use.add_argument("--scale", default="laptop", metavar="SCALE", help=f"{', '.join(SCALES)} (default: laptop)")
         use.add_argument("--results", type=Path, default=RESULTS, metavar="DIR", help=f"default: {RESULTS}")
     running.add_argument("--jobs", type=int, default=1, metavar="N", help="runs at a time (default: 1)")
     running.add_argument("--tasks", nargs="+", metavar="TASK", help="only runs on these tasks")
     running.add_argument("--seeds", type=int, nargs="+", metavar="SEED", help="only runs with these seeds")
+    drawing.add_argument("--out", type=Path, default=OUT, metavar="DIR", help=f"default: {OUT}")
+    drawing.add_argument("--into", type=Path, metavar="FILE", help="also put them between the marks of this document")
     running.add_argument("--service", action="store_true", help="train through learner and actor processes, with logs")
 
 
 def run(given: argparse.Namespace) -> int:
     """List, run or draw; returns exit code 0."""
-    return {"list": _list, "run": _run}[given.use](given)
+    return {"list": _list, "run": _run, "draw": _draw}[given.use](given)
 
 
 def _list(given: argparse.Namespace) -> int:
@@ -76,4 +80,17 @@ def _run(given: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = Command(add_options, run, EPILOG, usage="reskpn paper {list,run} [EXPERIMENT ...] [options]")
+def _draw(given: argparse.Namespace) -> int:
+    from reskpn.study.drawing.document import draw_all
+    from reskpn.study.experiments import load_catalogue
+    from reskpn.study.planning import with_needs
+    from reskpn.study.store import Store
+
+    catalogue = load_catalogue()
+    names = given.names or list(catalogue)
+    with_needs(names, catalogue)
+    draw_all(names, given.scale, catalogue, Store(given.results), given.out, given.into, print)
+    return 0
+
+
+COMMAND = Command(add_options, run, EPILOG, usage="reskpn paper {list,run,draw} [EXPERIMENT ...] [options]")

@@ -61,11 +61,13 @@ class Drawing(Section):
         kind: curves (by environment step), spreads (quantiles by dimension), scores, runtimes or settings (tables).
         measures: columns of the curves; with more than one, each is a line of its own and arms are panels.
         scale: of the vertical axis.
+        reference: arm that has 1 in normalised scores; the first by default.
     """
 
     kind: Literal["curves", "spreads", "scores", "runtimes", "settings"]
     measures: tuple[str, ...] = ("return",)
     scale: Literal["linear", "log"] = "linear"
+    reference: str | None = None
 
 
 class ScaleOverride(Section):

@@ -11,23 +11,20 @@ from __future__ import annotations
 import json
 import sys
 import time
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from common.config.settings import RunSettings
 from common.config.sources import parse_json
-from common.errors import LogWriteError, ReskpnError
+from common.errors import ReskpnError
 from common.learners import LEARNERS
 from common.maths import running
-from common.runs.directory import write_json
-from common.runtime import hardware, software_versions, source_commit
 from reskpn.study.curves import Curve
 from reskpn.study.in_process import InProcess, Step, prepare
 from reskpn.study.results import Result, Timing, identity, relevant, revision, score
+from reskpn.study.writing import origin, write_result
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 COLUMNS = 16
@@ -83,29 +80,6 @@ def run(settings: RunSettings) -> Result:
         digest=work.digest(),
         **origin(),
     )
-
-
-def origin() -> dict[str, Any]:
-    """Where and when a result is made, as fields of `Result`."""
-    machine = {name: text for name, text in hardware().items() if name != "host"}
-    return {
-        "commit": source_commit(),
-        "versions": software_versions(),
-        "machine": machine,
-        "finished_at": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
-
-
-def write_result(result: Result, path: Path) -> None:
-    """Write it whole or not at all; LogWriteError where it cannot be written."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_json(path, result.model_dump(mode="json"), indent=None)
-    except OSError as error:
-        raise LogWriteError(
-            f"{path} cannot be written ({error.strerror}); make room or fix its permissions, then give the command "
-            "again: the results that are there are kept"
-        ) from None
 
 
 def _add(curve: Curve, step: Step) -> None:

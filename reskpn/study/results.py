@@ -19,8 +19,8 @@ from reskpn.study.curves import Curve, tail
 FORMAT = 1
 
 REVISIONS = {"networks": 1, "kernel": 1}
-"""Raise a number when the update of learners without ("networks") or with ("kernel") an RKHS part gives other bits than
-before: results of the earlier revision then count as missing."""
+"""Revision of the update of learners without ("networks") and with ("kernel") a kernel part. Raise it when an update
+gives other bits than before: results of an earlier revision then count as missing."""
 
 UNRELATED = {"transport", "log", "run_dir", "slot_wait_s"}
 """Settings that do not change what a run learns."""
@@ -98,16 +98,19 @@ class Result(Section):
 
 
 def relevant(settings: RunSettings) -> dict[str, Any]:
-    """The settings that decide what a run learns, as JSON values. Those of h only where the learner has one."""
+    """The settings that decide what a run learns, as JSON values; none of absent kernel parts."""
     values = settings.model_dump(mode="json", exclude=UNRELATED)
     if not LEARNERS[settings.learner].rkhs:
         del values["rkhs"]
+    if settings.critic.representation == "none":
+        del values["critic"]
     return values
 
 
 def revision(settings: RunSettings) -> int:
     """The revision of the update that these settings use."""
-    return REVISIONS["kernel" if LEARNERS[settings.learner].rkhs else "networks"]
+    kernel = LEARNERS[settings.learner].rkhs or settings.critic.representation != "none"
+    return REVISIONS["kernel" if kernel else "networks"]
 
 
 def identity(settings: RunSettings) -> str:

@@ -1,0 +1,40 @@
+"""How a result gets its origin and its file."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from common.errors import LogWriteError
+from common.runs.directory import write_json
+from common.runtime import hardware, software_versions, source_commit
+from reskpn.study.results import Result
+
+
+def origin() -> dict[str, Any]:
+    """Where and when a result is made, as fields of `Result`."""
+    machine = {name: text for name, text in hardware().items() if name != "host"}
+    return {
+        "commit": source_commit(),
+        "versions": software_versions(),
+        "machine": machine,
+        "finished_at": now(),
+    }
+
+
+def now() -> str:
+    """The time as ISO 8601 text, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def write_result(result: Result, path: Path) -> None:
+    """Write it whole or not at all; LogWriteError where it cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_json(path, result.model_dump(mode="json"), indent=None)
+    except OSError as error:
+        raise LogWriteError(
+            f"{path} cannot be written ({error.strerror}); make room or fix its permissions, then give the command "
+            "again: the results that are there are kept"
+        ) from None
