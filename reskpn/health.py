@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from common.errors import ReskpnError, SessionError
-from common.wire.credentials import NOBODY, Credentials
+from common.wire.credentials import NO_CREDENTIALS, Credentials
 from services.worker.state_file import OLD_S, read_state
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if health.good else 1
 
 
-def learner_health(endpoint: str, timeout_s: float, credentials: Credentials = NOBODY) -> Health:
+def learner_health(endpoint: str, timeout_s: float, credentials: Credentials = NO_CREDENTIALS) -> Health:
     """Ask the learner at the endpoint to join, as an actor does, and see whether it answers."""
     from common.wire.session import open_session
 
@@ -94,7 +94,7 @@ def learner_health(endpoint: str, timeout_s: float, credentials: Credentials = N
     return Health(True, f"the learner answers joins for run {reply.run}")
 
 
-def router_health(endpoint: str, timeout_s: float, credentials: Credentials = NOBODY) -> Health:
+def router_health(endpoint: str, timeout_s: float, credentials: Credentials = NO_CREDENTIALS) -> Health:
     """Connect to the router at the endpoint with these credentials. No learner is needed behind it."""
     from common.wire.session import open_session
 

@@ -16,6 +16,8 @@ _REMEDIES = {
     errno.ENOSPC: _FREE_SPACE,
     errno.EDQUOT: _FREE_SPACE,
     errno.EFBIG: "raise the limit on file size (ulimit -f) or lower log.segment_bytes",
+    errno.EMFILE: "this process has no file descriptors left: raise the limit on open files (ulimit -n)",
+    errno.ENFILE: "the machine has no file descriptors left: end what holds them, or raise fs.file-max",
     errno.EIO: "the disk reports a fault: check it, or choose another run directory",
     errno.EACCES: _PERMISSION,
     errno.EPERM: _PERMISSION,

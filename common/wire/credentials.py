@@ -106,7 +106,7 @@ class Credentials:
         return options
 
 
-NOBODY = Credentials()
+NO_CREDENTIALS = Credentials()
 
 
 def read_users(path: Path) -> dict[str, str]:

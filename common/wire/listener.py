@@ -1,18 +1,19 @@
-"""Who comes in where a process listens: authentication beyond loopback, and a count of those who were refused."""
+"""Listeners: authentication is required beyond loopback, and refused connections are reported by reason."""
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Callable
 from contextlib import ExitStack
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Self, final
 
 from common.errors import SettingsError
 from common.printable import printable
 from common.wire.access import LEARNER
 from common.wire.credentials import Credentials
 from common.wire.endpoint import is_loopback
-from common.wire.refusals import REASONS, StandardOutputTap, of_zenoh, refusal
+from common.wire.refusals import REASONS, StandardOutputTap, is_zenoh_line, refusal
 from common.wire.session import Session, log_refused_connections
 
 if TYPE_CHECKING:
@@ -23,9 +24,9 @@ OnRefused = Callable[[str, str], None]
 
 
 def require_authentication(transport: TransportSettings, *, as_options: bool = False) -> None:
-    """SettingsError where other machines reach a listener that does not ask who they are.
+    """Raises SettingsError for a listener that other machines reach without authentication.
 
-    `as_options`: it was given by options of a command, and not as settings of a run.
+    `as_options`: the error names options of a command instead of settings of a run.
     """
     known = Credentials.of(transport).authenticate(transport.endpoint)
     if known or is_loopback(transport.endpoint) or transport.insecure:
@@ -38,8 +39,28 @@ def require_authentication(transport: TransportSettings, *, as_options: bool = F
     )
 
 
-class ListenerMonitor:
-    """For a listener that refuses nobody."""
+class ListenerMonitor(abc.ABC):
+    """Reports refused connections. Entered before the session is opened, left after it is closed.
+
+    Implementations: `OpenListenerMonitor`, `AuthenticatedListenerMonitor`.
+    """
+
+    @abc.abstractmethod
+    def __enter__(self) -> Self: ...
+
+    @abc.abstractmethod
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    @abc.abstractmethod
+    def watch(self, session: Session, on_refused: OnRefused) -> None:
+        """Report connections that this session refuses from now on."""
+
+
+@final
+class OpenListenerMonitor(ListenerMonitor):
+    """For a listener that refuses no connection: there is nothing to report."""
 
     def __enter__(self) -> Self:
         return self
@@ -47,14 +68,15 @@ class ListenerMonitor:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        pass
+        """Nothing was acquired."""
 
     def watch(self, session: Session, on_refused: OnRefused) -> None:
-        """Tell from now on who was refused at this session."""
+        """Nothing will be reported."""
 
 
+@final
 class AuthenticatedListenerMonitor(ListenerMonitor):
-    """Counts who was refused. Entered before the session is opened, left after it is closed."""
+    """Finds refused connections in Zenoh's log lines, and clients without a role by the names in their certificates."""
 
     def __init__(self, transport: TransportSettings) -> None:
         self._known = {*transport.actor_names, *transport.viewer_names, LEARNER}
@@ -73,21 +95,21 @@ class AuthenticatedListenerMonitor(ListenerMonitor):
 
     def watch(self, session: Session, on_refused: OnRefused) -> None:
         self._on_refused = on_refused
-        session.watch_names(self._greet)
+        session.watch_names(self._check_name)
 
     def _take(self, line: str) -> bool:
-        if not of_zenoh(line):
+        if not is_zenoh_line(line):
             return False
         if (reason := refusal(line)) is not None:
             self._on_refused(reason, REASONS[reason])
         return True
 
-    def _greet(self, name: str) -> None:
+    def _check_name(self, name: str) -> None:
         if name not in self._known:
             self._on_refused("stranger", f"{REASONS['stranger']}: {printable(name, 64)}")
 
 
 def make_listener_monitor(transport: TransportSettings) -> ListenerMonitor:
-    """Guarded where the listener asks who comes in. A learner at a router does not listen: the router's door counts."""
-    guarded = Credentials.of(transport).authenticate(transport.endpoint) and not transport.router
-    return AuthenticatedListenerMonitor(transport) if guarded else ListenerMonitor()
+    """The monitor of a listener with these settings. A learner at a router does not listen: the router reports."""
+    authenticated = Credentials.of(transport).authenticate(transport.endpoint) and not transport.router
+    return AuthenticatedListenerMonitor(transport) if authenticated else OpenListenerMonitor()

@@ -1,4 +1,4 @@
-"""Connections that were refused before anything could be said on them, as far as Zenoh tells: in its log lines."""
+"""The reasons for which connections were refused before any message, as far as they are found in Zenoh's log lines."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _OURS = re.compile(r"\s(?:WARN|DEBUG|ERROR|INFO)\s.*\b(?:zenoh_link_tls|zenoh_transport)::")
 
 REASONS = {
-    "no_certificate": "somebody without a certificate was refused",
+    "no_certificate": "a client without a certificate was refused",
     "bad_certificate": "a certificate that is not of this run's authority, or has expired, was refused",
     "untrusted": (
-        "somebody did not accept the certificate shown here: it is of another authority for him, or was not made for "
-        "the address that he used"
+        "a client did not accept the certificate shown here: it is of another authority, or was not made for the "
+        "address that the client used"
     ),
-    "no_tls": "somebody who does not speak TLS was refused",
-    "bad_user": "a user who is not in the file of users was refused",
+    "no_tls": "a client that does not speak TLS was refused",
+    "bad_user": "a user that is not in the file of users was refused",
     "bad_password": "a user with a wrong password was refused",
-    "no_user": "somebody without user and password was refused",
-    "handshake": "somebody connected and did not go on, as who looks for open ports does",
-    "stranger": "somebody has a certificate of this run's authority, but a name without any right",
+    "no_user": "a client without user and password was refused",
+    "handshake": "a client connected and did not continue, as a port scan does",
+    "stranger": "a client has a certificate of this run's authority, but a name without a role",
 }
-"""What is counted, and what it means."""
+"""The meaning of each reason that is counted."""
 
-# The first that is found in a line decides.
+# The first sign that is found in a line decides.
 _SIGNS = (
     ("NoCertificatesPresented", "no_certificate"),
     ("peer sent no certificates", "no_certificate"),
@@ -44,7 +44,7 @@ _SIGNS = (
 )
 
 
-def of_zenoh(line: str) -> bool:
+def is_zenoh_line(line: str) -> bool:
     """Whether a line is of Zenoh's log."""
     return _OURS.search(_COLOURS.sub("", line)) is not None
 
@@ -55,9 +55,9 @@ def refusal(line: str) -> str | None:
 
 
 class StandardOutputTap:
-    """While it is entered, whole lines written to file descriptor 1 are shown to `take` first.
+    """While it is entered, whole lines written to file descriptor 1 are passed to `take` first.
 
-    What it takes goes no further. Python's own `print` and displays go past it, straight to where they went before.
+    Lines that it takes go no further. Python's own `print` and displays bypass it, and go where they went before.
     """
 
     def __init__(self, take: Callable[[str], bool]) -> None:

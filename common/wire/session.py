@@ -1,9 +1,10 @@
 """The transport: requests, publications and liveliness over Zenoh, which is imported nowhere else.
 
-Peers talk directly: a learner listens, the others connect to it and need nothing but its address. Nobody is searched
-for on the network, and a lost connection is taken up again for ever, with all that was declared on it.
+Peers talk directly: a learner listens, the others connect to it and need nothing but its address. There is no discovery
+on the network, and a lost connection is re-established for ever, with all that was declared on it.
 
 Handlers run on threads of Zenoh, one for each declaration, and must not block. What they raise goes to `on_error`.
+Replies leave from threads of their own.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from types import TracebackType
 from typing import Any, Self
@@ -19,18 +21,18 @@ from typing import Any, Self
 import zenoh
 
 from common.errors import SessionError
-from common.wire.credentials import NOBODY, Credentials
-from common.wire.diagnosis import cannot_open, no_connection, plain, unserved, why_no_connection
+from common.wire.connections import explain, wait_connected
+from common.wire.credentials import NO_CREDENTIALS, Credentials
+from common.wire.diagnosis import cannot_open, no_connection, plain
 from common.wire.handlers import OnError, Request, check_size, guarded, log_error
+from common.wire.reply_sender import ReplySender
 from common.wire.zenoh_settings import CLIENT, ZENOH_LOG, zenoh_settings
-
-_POLL_S = 0.01
 
 
 class Publisher:
-    """Puts on one key. What a slow subscriber's queue cannot take is dropped, so publish what a later put renews.
+    """Puts on one key. What does not fit into a slow subscriber's queue is dropped, so publish what a later put renews.
 
-    One that was made `patient` waits in its place.
+    A `patient` publisher waits instead.
     """
 
     def __init__(self, key: str, publisher: zenoh.Publisher, check_size: Callable[[str, bytes], None]) -> None:
@@ -61,29 +63,39 @@ class Session:
         self._on_error = on_error
         self._explain = explain
         self._lock = threading.Lock()
-        self._held: list[Any] = []  # Zenoh undeclares what nobody refers to
+        # What was declared with a callback lives until it is undeclared or the session closes, referred to or not.
+        self._held: list[Any] = []
+        self._senders: list[ReplySender] = []
         self._queriers: dict[tuple[str, float], zenoh.Querier] = {}
 
     def serve(self, key: str, handler: Callable[[Request], None]) -> None:
-        """Answer what is asked on `key`, which may hold wildcards."""
+        """Answer the queries on `key`, which may hold wildcards. A reply never blocks the thread that gives it."""
+        sender = ReplySender(key)
+        with self._lock:
+            self._senders.append(sender)
 
         def on_query(query: zenoh.Query) -> None:
             payload = query.payload
             key = str(query.key_expr)
 
-            def answer(data: bytes) -> None:
-                self._check_size(key, data)
+            def send(data: bytes) -> None:
                 try:
                     with query:  # ends the asker's wait now, not when this object is collected
                         query.reply(key, data)
                 except zenoh.ZError as error:
-                    raise SessionError(f"cannot answer on {key}: {plain(error)}") from error
+                    if not self._session.is_closed():
+                        self._on_error(key, SessionError(f"cannot answer on {key}: {plain(error)}"))
+
+            def answer(data: bytes) -> None:
+                self._check_size(key, data)
+                if not sender.submit(partial(send, data)):
+                    query.drop()
 
             try:
                 handler(Request(key, b"" if payload is None else payload.to_bytes(), answer))
             except Exception as error:
                 self._on_error(key, error)
-                query.drop()  # whoever keeps the error's traceback would keep the asker waiting
+                query.drop()  # a traceback that is kept would keep the asker waiting
 
         self._hold(lambda: self._session.declare_queryable(key, self._guarded(key, on_query)))
 
@@ -146,7 +158,7 @@ class Session:
         )
 
     def watch_names(self, handler: Callable[[str], None]) -> None:
-        """Call `handler(name)` with the name in the certificate of everyone who connects with one."""
+        """Call `handler(name)` with the name in the certificate of every peer that connects with one."""
 
         def on_link(event: zenoh.LinkEvent) -> None:
             name = event.link.auth_identifier
@@ -156,14 +168,22 @@ class Session:
         self._hold(lambda: self._session.info.declare_link_events_listener(self._guarded("names", on_link)))
 
     def explain(self) -> str:
-        """Why nobody answers, as far as can be found out within seconds, for a person; empty for who only listens."""
+        """The reason why nothing answers, as far as can be found within seconds; empty for a session that listens."""
         return self._explain()
 
     def close(self) -> None:
-        """End all that was declared; may be called again and from a handler."""
+        """Undeclare all that was declared, and close; may be called repeatedly, and from a handler."""
         with self._lock:
+            declared = [*self._queriers.values(), *reversed(self._held)]
+            senders = list(self._senders)
             self._held.clear()
             self._queriers.clear()
+            self._senders.clear()
+        for sender in senders:
+            sender.close()
+        for one in declared:
+            with suppress(zenoh.ZError):  # the session may be closed already
+                one.undeclare()
         self._session.close()
 
     def __enter__(self) -> Self:
@@ -209,7 +229,7 @@ def open_session(
     connect_timeout_s: float | None = None,
     max_message_size: int,
     lease_s: float = 2.0,
-    credentials: Credentials = NOBODY,
+    credentials: Credentials = NO_CREDENTIALS,
     options: Mapping[str, object] | None = None,
     on_error: OnError = log_error,
     router: bool = False,
@@ -219,8 +239,9 @@ def open_session(
 
     `connect_timeout_s=None` returns at once and goes on trying to connect for ever; until then `ask` finds nobody.
     `max_message_size` is in bytes, of one message. A peer that is silent for `lease_s` counts as gone. `credentials`
-    say who this process is and whom it lets in. `options` are further settings of Zenoh by path. `router`: it connects
-    to a router, and waits for it, for ever too, unless `give_up()`; who has a timeout finds out by himself.
+    identify this process, and those that it lets in. `options` are further settings of Zenoh by path. `router`: the
+    address is that of a router, which is waited for, for ever too, unless `give_up()`; with a timeout a router is
+    recognised without this.
 
     Raises `SessionError`: not an address, an address that cannot be listened on, no connection within the time; and
     `SettingsError` where the credentials cannot be used.
@@ -231,13 +252,13 @@ def open_session(
     if not router:
         session = _open(settings, listen)
         if connect and wait_s is not None:
-            _wait_connected(session, connect, wait_s, credentials)
+            wait_connected(session, connect, wait_s, credentials)
             router = bool(session.info.routers_zid())
-            if router:  # who passes nothing on between peers
+            if router:  # a router passes nothing on between peers
                 session.close()
     if router:
         session = _open_client(settings, connect, wait_s, credentials, give_up)
-    return Session(session, max_message_size, on_error, partial(_explain, session, tuple(connect), credentials))
+    return Session(session, max_message_size, on_error, partial(explain, session, tuple(connect), credentials))
 
 
 def _open(settings: Mapping[str, object], listen: Sequence[str]) -> zenoh.Session:
@@ -260,7 +281,7 @@ def _open_client(
     credentials: Credentials,
     give_up: Callable[[], bool],
 ) -> zenoh.Session:
-    """Of a router. Zenoh cannot be interrupted while it connects a client, so it is asked again and again."""
+    """Open a client of a router. Zenoh cannot be interrupted while it connects one, so each attempt is short."""
     deadline = None if timeout_s is None else time.monotonic() + timeout_s
     while True:
         try:
@@ -272,28 +293,6 @@ def _open_client(
                 raise SessionError(f"stopped before there was a connection to {', '.join(connect)}") from None
 
 
-def _wait_connected(session: zenoh.Session, connect: Sequence[str], timeout_s: float, credentials: Credentials) -> None:
-    deadline = time.monotonic() + timeout_s
-    try:
-        while not _connected(session):
-            if time.monotonic() >= deadline:
-                raise SessionError(no_connection(connect, timeout_s, credentials))
-            time.sleep(_POLL_S)
-    except BaseException:
-        session.close()
-        raise
-
-
 def log_refused_connections() -> None:
-    """From now on standard output gets a line, for `common.wire.refusals`, for each connection that is refused."""
+    """From now on write a line for each refused connection to standard output, for `common.wire.refusals`."""
     zenoh.init_log_from_env_or(ZENOH_LOG)
-
-
-def _connected(session: zenoh.Session) -> bool:
-    return bool(session.info.peers_zid() or session.info.routers_zid())
-
-
-def _explain(session: zenoh.Session, connect: Sequence[str], credentials: Credentials) -> str:
-    if not connect or session.is_closed():
-        return ""
-    return unserved(connect[0]) if _connected(session) else why_no_connection(connect[0], credentials)

@@ -20,7 +20,7 @@ from common.errors import ReskpnError, SessionError, SettingsError
 from common.printable import printable
 from common.runs.directory import RUNS, SETTINGS
 from common.runs.listing import describe_run, newest_run
-from common.wire.credentials import NOBODY, Credentials
+from common.wire.credentials import NO_CREDENTIALS, Credentials
 from common.wire.keys import STATUS
 from common.wire.report import MAX_REPORT_BYTES, RunReport
 from common.wire.session import Session, open_session
@@ -40,7 +40,7 @@ _RETRY = threading.Event()  # never set: nothing ends the pause between two ques
 
 
 def status(
-    endpoint: str, *, as_json: bool, watch: bool, stop: threading.Event, credentials: Credentials = NOBODY
+    endpoint: str, *, as_json: bool, watch: bool, stop: threading.Event, credentials: Credentials = NO_CREDENTIALS
 ) -> int:
     """Print the report of the learner at `endpoint`; with `watch` every second until `stop` is set. Returns 0.
 
@@ -68,7 +68,7 @@ def status(
     return 0
 
 
-def connect(endpoint: str, timeout_s: float = CONNECT_S, credentials: Credentials = NOBODY) -> Session:
+def connect(endpoint: str, timeout_s: float = CONNECT_S, credentials: Credentials = NO_CREDENTIALS) -> Session:
     """A session with the process that listens at `endpoint`; SessionError if there is none within the time."""
     return open_session(
         connect=[endpoint],
@@ -131,7 +131,7 @@ def status_of_run(
     as_json: bool,
     watch: bool,
     stop: threading.Event,
-    credentials: Credentials = NOBODY,
+    credentials: Credentials = NO_CREDENTIALS,
     say: Callable[[str], None] = print,
 ) -> int:
     """Print the state of the run in a directory, or of the newest run of this folder; returns 0.

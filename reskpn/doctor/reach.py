@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from common.errors import CodecError, SessionError, WireError
 from common.printable import printable
-from common.wire.credentials import NOBODY, Credentials
+from common.wire.credentials import NO_CREDENTIALS, Credentials
 from common.wire.endpoint import Endpoint, free_port
 from common.wire.report import RunReport
 from common.wire.session import Session, open_session
@@ -39,7 +39,7 @@ class Answer:
     unsure_s: float
 
 
-def ask_learner(endpoint: str, timeout_s: float = CONNECT_S, credentials: Credentials = NOBODY) -> Answer:
+def ask_learner(endpoint: str, timeout_s: float = CONNECT_S, credentials: Credentials = NO_CREDENTIALS) -> Answer:
     """Ask the learner at an endpoint for its report and its time; WireError if none answers."""
     with connect(endpoint, timeout_s, credentials) as session:
         ask(
@@ -53,7 +53,7 @@ def ask_learner(endpoint: str, timeout_s: float = CONNECT_S, credentials: Creden
 
 
 def check_port(
-    endpoint: str, credentials: Credentials = NOBODY, *, joins: bool = False
+    endpoint: str, credentials: Credentials = NO_CREDENTIALS, *, joins: bool = False
 ) -> tuple[Finding, Answer | None]:
     """Find out whether a learner can listen at an address, or which one does; also returns its answer.
 

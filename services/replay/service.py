@@ -11,7 +11,7 @@ from common.runs.read_ahead import read_ahead
 from common.runs.recorded_run import RecordedRun
 from common.runs.recorded_updates import RecordedUpdate
 from common.wire.access import Names, player_access_control
-from common.wire.credentials import NOBODY, Credentials
+from common.wire.credentials import NO_CREDENTIALS, Credentials
 from common.wire.rollout import Rollout
 from common.wire.session import open_session
 from services.replay.player import Player
@@ -26,7 +26,7 @@ def run_player(
     run: RecordedRun,
     endpoint: str,
     *,
-    credentials: Credentials = NOBODY,
+    credentials: Credentials = NO_CREDENTIALS,
     rate: float | None,
     delay_s: float,
     stop: threading.Event,

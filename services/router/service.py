@@ -1,4 +1,4 @@
-"""The router as a process: Zenoh's own, with the access control of a learner, and a count of those it refused."""
+"""The router as a process: Zenoh's own, with a learner's access control and a count of refused connections."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from common.wire.listener import make_listener_monitor, require_authentication
 from common.wire.session import open_session
 
 REPEATED = 100
-"""Of one reason, every so manieth refusal is told."""
+"""Refused connections of one reason are reported once, and then each time so many have come."""
 
 
 def run_router(transport: TransportSettings, *, stop: threading.Event, say: Callable[[str], None]) -> int:
     """Pass messages on until `stop` is set. Returns 0.
 
     Args:
-        transport: where it listens, the certificates that it shows (a learner's, made for the router's address), or
-            its users; and the names that it lets in. Without credentials it lets everyone do everything.
-        say: gets a line for a person: where it listens, who was refused.
+        transport: the endpoint to listen on; the certificates to show (a learner's, made for the router's address), or
+            the users; and the names to let in. Without credentials every client may do everything.
+        say: gets a line for a person: the endpoint, refused connections.
 
     Raises:
         SettingsError: credentials that cannot be used, or none where other machines reach it; users without a learner.
         SessionError: an address that cannot be listened on.
     """
-    here = transport.model_copy(update={"router": False})  # who uses one is told so; this is it
+    here = transport.model_copy(update={"router": False})
     require_authentication(here, as_options=True)
     credentials = Credentials.of(here)
     access = {}
@@ -45,14 +45,14 @@ def run_router(transport: TransportSettings, *, stop: threading.Event, say: Call
     lock = threading.Lock()
 
     def on_refused(reason: str, text: str) -> None:
-        with lock:  # Zenoh's log and Zenoh's events come on threads of their own
+        with lock:  # the lines and the events of Zenoh come on threads of their own
             refused[reason] += 1
             count = refused[reason]
         if count % REPEATED == 1:
             say(f"refused ({count:,} times so far): {text}")
 
     with (
-        make_listener_monitor(here) as door,
+        make_listener_monitor(here) as listener,
         open_session(
             listen=[here.endpoint],
             max_message_size=here.max_message_bytes,
@@ -61,10 +61,10 @@ def run_router(transport: TransportSettings, *, stop: threading.Event, say: Call
             options={"mode": "router", **access},
         ) as session,
     ):
-        door.watch(session, on_refused)
-        whom = f"lets in {', '.join(['learner', *here.actor_names, *here.viewer_names])}" if access else "asks nobody"
-        say(f"router: listening on {here.endpoint}; {whom}")
+        listener.watch(session, on_refused)
+        clients = f"lets in {', '.join(['learner', *here.actor_names, *here.viewer_names])}"
+        say(f"router: listening on {here.endpoint}; {clients if access else 'no authentication'}")
         stop.wait()
-    told = ", ".join(f"{reason} {count:,}" for reason, count in sorted(refused.items()))
-    say(f"router: stopped; refused connections: {told or 'none'}")
+    counts = ", ".join(f"{reason} {count:,}" for reason, count in sorted(refused.items()))
+    say(f"router: stopped; refused connections: {counts or 'none'}")
     return 0

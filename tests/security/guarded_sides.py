@@ -17,7 +17,7 @@ from common.config.settings import TransportSettings
 from common.errors import SessionError
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
-from common.wire.credentials import NOBODY, Credentials
+from common.wire.credentials import NO_CREDENTIALS, Credentials
 from common.wire.keys import JOIN, STATUS, Keys
 from common.wire.listener import make_listener_monitor
 from common.wire.messages import JoinReply, PushReply
@@ -87,7 +87,7 @@ class Outside:
     def __init__(
         self,
         endpoint: str,
-        credentials: Credentials = NOBODY,
+        credentials: Credentials = NO_CREDENTIALS,
         options: dict[str, object] | None = None,
         connect_timeout_s: float = DEADLINE_S,
     ) -> None:

@@ -16,7 +16,7 @@ from samples import RUN, STATUS_NOW, heartbeat, question, rollout, snapshot
 
 from common.config.settings import TransportSettings
 from common.errors import SessionError
-from common.wire.credentials import NOBODY, Credentials
+from common.wire.credentials import NO_CREDENTIALS, Credentials
 from common.wire.endpoint import free_port
 from common.wire.keys import JOIN, Keys
 from common.wire.messages import Orders, Snapshot
@@ -50,7 +50,7 @@ def run(
     learner = learners(transport)
 
     def credentials(name: str) -> Credentials:
-        return NOBODY if role == "anyone" else Credentials(certificates / name)
+        return NO_CREDENTIALS if role == "anyone" else Credentials(certificates / name)
 
     worker = outside(transport.endpoint, credentials("actor"), CLIENT)
     attacker = outside(transport.endpoint, credentials(role), CLIENT)

@@ -12,7 +12,7 @@ from samples import rollout
 
 from common.config.settings import TransportSettings
 from common.errors import SessionError
-from common.wire.credentials import NOBODY, Credentials
+from common.wire.credentials import NO_CREDENTIALS, Credentials
 from common.wire.endpoint import free_port
 
 Learners = Callable[[TransportSettings], GuardedLearner]
@@ -56,7 +56,7 @@ def test_an_outsider_is_refused(
 ) -> None:
     """He learns why, in words; the learner counts him by reason, and tells once."""
     learner = learners(secured)
-    endpoint, credentials = secured.endpoint, NOBODY
+    endpoint, credentials = secured.endpoint, NO_CREDENTIALS
     options: dict[str, object] | None = None
     if changes.get("plain"):
         endpoint = endpoint.replace("tls/", "tcp/")
@@ -100,7 +100,7 @@ def test_a_name_without_a_role(
     with pytest.raises(SessionError):
         other.session.ask("reskpn/v1/join", b"", REFUSED_S)
     assert "does not give the name in this certificate" in other.session.explain()
-    assert learner.hub.report().last_refusal.text.endswith("without any right: other")  # type: ignore[union-attr]
+    assert learner.hub.report().last_refusal.text.endswith("without a role: other")  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_passwords(tmp_path: Path, learners: Learners, outside: Outsiders, user:
     if user is not None:
         wrong.write_text(f"{user}\n")
     with pytest.raises(SessionError, match="password"):
-        outside(transport.endpoint, Credentials(users=wrong) if user else NOBODY, None, REFUSED_S)
+        outside(transport.endpoint, Credentials(users=wrong) if user else NO_CREDENTIALS, None, REFUSED_S)
     until(lambda: counted in learner.counted())
     assert set(learner.counted()) == {counted}
 

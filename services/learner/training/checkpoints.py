@@ -8,6 +8,7 @@ environments as they were when that version was published: with both a run can g
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -135,9 +136,11 @@ def _write(path: Path, content: Snapshot) -> None:
 
 
 def _failure(path: Path, error: OSError) -> CheckpointError:
+    remedy = "Make room or fix its permissions"
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        remedy = "Raise the limit on open files (ulimit -n)"
     return CheckpointError(
-        f"cannot write the checkpoint {path}: {error.strerror}. Make room or fix its permissions; "
-        "the log is whole and holds the run so far"
+        f"cannot write the checkpoint {path}: {error.strerror}. {remedy}; the log is whole and holds the run so far"
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from common.wire.credentials import NOBODY, Credentials
+from common.wire.credentials import NO_CREDENTIALS, Credentials
 from common.wire.diagnosis import plain, unserved, why_no_connection
 from common.wire.endpoint import free_port
 from reskpn.authority import make_all
@@ -25,17 +25,20 @@ def listener() -> Iterator[str]:
 
 def test_nobody_listens() -> None:
     """Seen at once."""
-    assert why_no_connection(f"tcp/127.0.0.1:{free_port()}", NOBODY).startswith("nothing listens at that port")
+    assert why_no_connection(f"tcp/127.0.0.1:{free_port()}", NO_CREDENTIALS).startswith("nothing listens at that port")
 
 
 def test_no_such_host() -> None:
     """Its name is in the sentence (.invalid is never a host)."""
-    assert why_no_connection("tcp/learner.invalid:7447", NOBODY) == "there is no host learner.invalid: check the name"
+    assert (
+        why_no_connection("tcp/learner.invalid:7447", NO_CREDENTIALS)
+        == "there is no host learner.invalid: check the name"
+    )
 
 
 def test_somebody_listens(listener: str) -> None:
     """Then it is what this process says of itself, or fails to say."""
-    assert "it speaks TLS (tls/...) and wants a certificate" in why_no_connection(f"tcp/{listener}", NOBODY)
+    assert "it speaks TLS (tls/...) and wants a certificate" in why_no_connection(f"tcp/{listener}", NO_CREDENTIALS)
     users = Credentials(users=Path("users"))
     assert "the user or the password was not accepted" in why_no_connection(f"tcp/{listener}", users)
 

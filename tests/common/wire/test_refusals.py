@@ -7,7 +7,7 @@ from queue import Queue
 
 import pytest
 
-from common.wire.refusals import REASONS, StandardOutputTap, of_zenoh, refusal
+from common.wire.refusals import REASONS, StandardOutputTap, is_zenoh_line, refusal
 
 HEAD = (
     "\x1b[2m2026-01-01T00:00:00Z\x1b[0m \x1b[33m WARN\x1b[0m acc-0 ThreadId(06) \x1b[2mzenoh_link_tls::unicast\x1b[0m: "
@@ -27,7 +27,7 @@ HEAD = (
 )
 def test_reasons(text: str, reason: str | None) -> None:
     """A word of this program for each, with a sentence; what is not understood is not guessed."""
-    assert of_zenoh(HEAD + text)
+    assert is_zenoh_line(HEAD + text)
     assert refusal(HEAD + text) == reason
     assert reason is None or REASONS[reason]
 
@@ -35,7 +35,7 @@ def test_reasons(text: str, reason: str | None) -> None:
 @pytest.mark.parametrize("line", ["update 3/10 of zenoh_link_tls", "WARNING: received fatal alert", ""])
 def test_lines_of_others(line: str) -> None:
     """Are not taken for Zenoh's."""
-    assert not of_zenoh(line)
+    assert not is_zenoh_line(line)
 
 
 def test_the_tap(capfd: pytest.CaptureFixture[str]) -> None:
