@@ -92,6 +92,7 @@ def _numbered(assignment: Assignment, seq: int, version: int, arrays: dict[str, 
         t_ns=time.time_ns(),
         timing={},
         generation=assignment.generation,
+        diverged=0,
         **arrays,
     )
 

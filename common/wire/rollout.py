@@ -89,7 +89,7 @@ class Rollout(Message):
     `seq` decide which environments acted with which random numbers, whichever actor it was.
 
     `mirror_...` are the last step made once more with the mirrored action, `mirror_obs` after it; m is N, or 0 in a run
-    that does not branch.
+    that does not branch. `diverged` is how many episodes ended since their simulation diverged; 0 in logs of before.
     """
 
     OLDEST_SCHEMA = 2
@@ -117,6 +117,7 @@ class Rollout(Message):
     mirror_truncated: Annotated[np.ndarray, array("bool", "m")]
     mirror_obs: Annotated[np.ndarray, array("float32", "m O")]
     generation: Count = 0
+    diverged: Count = 0
 
     @property
     def key(self) -> RolloutKey:
@@ -138,6 +139,8 @@ class Rollout(Message):
         if both := np.count_nonzero(self.terminated & self.truncated):
             raise CodecError("bad_value", f"{both} steps that are both terminated and truncated; a step is at most one")
         check_episodes(self.episode_return, self.episode_length, shape.episode_length)
+        if self.diverged > (terminated := np.count_nonzero(self.terminated)):
+            raise CodecError("bad_value", f"diverged is {self.diverged}; only {terminated} episodes were terminated")
         ended = np.count_nonzero(self.terminated | self.truncated)
         if self.episode_return.size > ended:
             raise CodecError(

@@ -114,10 +114,11 @@ class Collector:
             keys, mirrored = jnp.concatenate([keys, keys[-1:]]), jnp.arange(steps + 1) == steps
         step = partial(self._one_step, policy)
         start = (state, state, policy.observations, jnp.zeros_like(state.obs))
-        (state, _, _, truncated_obs), trajectory = jax.lax.scan(step, start, (keys, mirrored))
+        (end, _, _, truncated_obs), trajectory = jax.lax.scan(step, start, (keys, mirrored))
         mirror = jax.tree.map(lambda x: x[-1] if self._settings.branches else x[0, :0], trajectory)
         trajectory = jax.tree.map(lambda x: x[:steps], replace(trajectory, next_obs=trajectory.next_obs[:0]))
-        return state, CollectedRollout(trajectory, state.obs, truncated_obs, mirror)
+        diverged = (end.diverged - state.diverged).sum()
+        return end, CollectedRollout(trajectory, end.obs, truncated_obs, mirror, diverged)
 
     def _one_step(
         self, policy: Policy, carry: tuple[EnvState, EnvState, Moments, Array], at_t: tuple[Array, Array]

@@ -50,12 +50,14 @@ class CollectedRollout(Generic[Numbers]):
         last_obs: [N, O] after the last step.
         truncated_obs: [N, O] at which the time limit truncated an episode, each environment's last.
         mirror: the last step repeated with the mirrored action, of m environments and without a time axis.
+        diverged: [] int32, number of episodes that ended because their simulation diverged.
     """
 
     trajectory: Trajectory[Numbers]
     last_obs: Numbers
     truncated_obs: Numbers
     mirror: Trajectory[Numbers]
+    diverged: Numbers
 
 
 def rollout_message(
@@ -97,4 +99,5 @@ def rollout_message(
         mirror_terminated=mirror.terminated,
         mirror_truncated=mirror.truncated,
         mirror_obs=mirror.next_obs,
+        diverged=int(collected.diverged),
     )

@@ -519,3 +519,10 @@ def test_small_messages_have_small_limits():
     """A request to join of more than 256 KiB is refused by its size alone."""
     assert refusal(Join, b"\xc1" * (300 << 10)).reason == "too_large"
     assert refusal(Heartbeat, b"\xc1" * (5 << 10)).reason == "too_large"
+
+
+def test_no_more_simulations_diverged_than_episodes_were_terminated() -> None:
+    """A diverged simulation ends its episode; the example has one that was terminated."""
+    make_rollout(diverged=1).check(SHAPE)
+    with pytest.raises(CodecError, match="diverged is 2; only 1 episodes were terminated"):
+        make_rollout(diverged=2).check(SHAPE)

@@ -57,7 +57,7 @@ def collected(reward: np.ndarray) -> CollectedRollout[np.ndarray]:
         terminated=sample.mirror_terminated, truncated=sample.mirror_truncated, next_obs=sample.mirror_obs,
         episode_return=sample.mirror_reward, episode_length=np.zeros(0, np.int32),
     )  # fmt: skip
-    return CollectedRollout(steps, sample.last_obs, np.zeros((2, 4), np.float32), mirror)
+    return CollectedRollout(steps, sample.last_obs, np.zeros((2, 4), np.float32), mirror, np.array(0, np.int32))
 
 
 class StandIn:

@@ -322,6 +322,21 @@ def test_time_is_told_by_phase(used: tuple[Collector, list[Rollout]]) -> None:
         assert sent.timing["collect"] > 0.0
 
 
+def test_diverged_simulations_are_counted(reader: PolicyReader, policy: Policy) -> None:
+    """Two of four environments are put where MuJoCo gives up, and end at once; the next rollout is without them."""
+    collector = make_collector(reader)
+    arrays = collector.environments()
+    positions = arrays["bodies/q"].copy()
+    positions[[0, 2]] = 1e12
+    collector.restore({**arrays, "bodies/q": positions}, 0)
+    sent = collect(collector, policy)
+    assert sent.diverged == 2
+    np.testing.assert_array_equal(sent.terminated[0], [True, False, True, False])
+    sent.check(RolloutShape(STEPS, ENVS, 4, 1))
+    collector.keep()
+    assert collect(collector, policy).diverged == 0
+
+
 def test_the_engine_is_known(used: tuple[Collector, list[Rollout]]) -> None:
     """By the name that the run's summary uses."""
     assert used[0].physics == "native"
