@@ -17,6 +17,7 @@ COMMANDS = {
     "actor": "collect experience for a learner, from this machine or another",
     "evaluator": "evaluate the policies of a run while it trains, without exploration",
     "status": "show how a run and each of its actors are doing, from any machine that reaches the learner",
+    "evaluate": "play episodes of any version of a recorded run, without exploration",
     "runs": "list the runs of a folder, and delete those that are no longer needed",
     "doctor": "check this machine before a run: versions, devices, memory, disk, port, clock, Zenoh, physics",
     "replay": "verify a recorded run, or use its log: extract, publish, train another learner",

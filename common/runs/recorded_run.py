@@ -9,11 +9,12 @@ from typing import Any
 
 from common.config.settings import RunSettings
 from common.config.sources import parse_json
-from common.errors import LogReadError
+from common.errors import CodecError, LogReadError
 from common.log.reader import LogMessage, LogReader, TornTail
 from common.log.segments import find_segments
 from common.runs.origins import origin
-from common.runs.recorded_updates import TOPICS, RecordedUpdate, UpdateReader
+from common.runs.recorded_updates import LIMITS, TOPICS, RecordedUpdate, UpdateReader
+from common.wire.messages import Snapshot
 from common.wire.rollout import Rollout
 
 
@@ -78,6 +79,18 @@ class RecordedRun:
                 yield content
                 if content.version == until:
                     return
+
+    def policies(self) -> Iterator[Snapshot]:
+        """The policies in the log, in order of their versions: every `log.policy_every`-th and the last.
+
+        Raises (from the iterator):
+            LogReadError: the log is damaged.
+        """
+        for message in self._reader.messages(["/policy"]):
+            try:
+                yield Snapshot.decode(message.data, LIMITS)
+            except CodecError as error:
+                raise LogReadError(f"message {message.sequence} of /policy is not a policy: {error}") from None
 
     def messages(self) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
         """Every message of the log as it was written, and its content where it is of /rollout or /update.

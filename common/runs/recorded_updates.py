@@ -16,7 +16,7 @@ from common.wire.rollout import Rollout, RolloutShape
 
 TOPICS = ("/rollout", "/update")
 
-_LIMITS = Limits(max_message=1 << 32, max_bin=1 << 32)
+LIMITS = Limits(max_message=1 << 32, max_bin=1 << 32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ def read_updates(
 
 def _read_rollout(message: LogMessage, shape: RolloutShape) -> Rollout:
     try:
-        rollout = Rollout.decode(message.data, _LIMITS)
+        rollout = Rollout.decode(message.data, LIMITS)
         rollout.check(shape)
     except CodecError as error:
         raise LogReadError(f"message {message.sequence} of /rollout is not a rollout of this run: {error}") from None
