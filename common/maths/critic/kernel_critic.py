@@ -85,15 +85,11 @@ class KernelCritic:
         """
         if isinstance(state, NoCorrection):
             return state, {}
-        settings, half = self.settings, target.shape[1] // 2
-        pairs = target[:, : 2 * half].reshape(-1, 2, half)
-        y = jnp.moveaxis(pairs, 1, 0).reshape(-1)
-        seen = obs[:, : 2 * half].reshape(-1, 2, half, obs.shape[-1])
-        seen = jnp.moveaxis(seen, 1, 0).reshape(-1, obs.shape[-1])
-        inputs = self._inputs(parameters, seen)
+        settings, obs = self.settings, _halves(obs)
+        inputs = self._inputs(parameters, obs)
         points = self.functions.renew(state.points, inputs)
         phi = self.functions(points, inputs)
-        residual = y - self.networks.value(parameters["critic"], seen)
+        residual = _halves(target) - self.networks.value(parameters["critic"], obs)
         newest = ridge.equations(phi.reshape(2, -1, phi.shape[1]), residual.reshape(2, -1))
         fitted = ridge.discounted_sum(state.equations, newest, settings.forgetting)
         r2 = ridge.held_out_r2(fitted, newest, settings.ridge)
@@ -117,6 +113,13 @@ class KernelCritic:
             return whitened
         z = networks.bind_policy(parameters["policy"]).features(obs) * networks.feature_scale
         return z if kind == "features" else jnp.concatenate([z, whitened], axis=1)
+
+
+def _halves(x: Array) -> Array:
+    """Transitions [T, E, ...] in one axis, those of the first half of the environments first."""
+    half = x.shape[1] // 2
+    apart = x[:, : 2 * half].reshape(x.shape[0], 2, half, *x.shape[2:])
+    return jnp.moveaxis(apart, 1, 0).reshape(-1, *x.shape[2:])
 
 
 def make_kernel_critic(settings: RunSettings, networks: Networks) -> KernelCritic:
