@@ -51,6 +51,8 @@ def measure_verify(run_dir: Path, until: int | None) -> Verdict:
     """Verify a run with a precompiled update; the run's speed excludes its first update."""
     run = open_run(run_dir)
     trainer = Trainer(run.settings)
+    if (initial := run.initial_state()) is not None:
+        trainer.restore(initial)
     trainer.compile()
     with read_ahead(run.updates(until=until)) as updates:
         return verify(updates, trainer, allow_other_bits=False, on_update=lambda _: None)

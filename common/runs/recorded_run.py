@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from common.config.settings import RunSettings
 from common.config.sources import parse_json
 from common.errors import CodecError, LogReadError
 from common.log.reader import LogMessage, LogReader, TornTail
 from common.log.segments import find_segments
+from common.runs.initial_state import read_initial_state
 from common.runs.origins import origin
 from common.runs.recorded_updates import LIMITS, TOPICS, RecordedUpdate, UpdateReader
 from common.wire.messages import Snapshot
@@ -54,6 +57,11 @@ class RecordedRun:
                 )
             )
         return found
+
+    def initial_state(self) -> Mapping[str, np.ndarray] | None:
+        """The learner's state before the first update; None where the settings decide it."""
+        found = read_initial_state(self._reader)
+        return None if found is None else found.arrays
 
     def count_updates(self) -> int:
         """Updates in the log. Unfinished segments are read for it."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from common.config.effects import settings_without_effect
 from common.config.settings import RunSettings
 from common.output import say
+from reskpn.commands.beginning import add_from, origin_settings, parse_origin, refuse_two_beginnings
 from reskpn.commands.command import Command
 from reskpn.commands.resuming import (
     AUTO,
@@ -20,6 +22,9 @@ from reskpn.commands.resuming import (
 )
 from reskpn.commands.settings_options import add_settings, settings_epilog, settings_given, settings_given_over
 
+if TYPE_CHECKING:
+    from services.learner.resume.origin import Origin
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
@@ -30,6 +35,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "runs/ if it has these settings, else start a new run",
     )
     add_skip_batch(parser)
+    add_from(parser)
     parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--lock-fd", type=int, help=argparse.SUPPRESS)
 
@@ -41,20 +47,27 @@ def run(given: argparse.Namespace) -> int:
 
     over = settings_given_over(given)
     refuse_stray_skip(given)
+    refuse_two_beginnings(given)
     resume = given.resume
     if resume is None or resume == AUTO:
-        new = settings_given(given)
+        new = settings_given(given) if given.origin is None else over(origin_settings(given.origin), own_endpoint=False)
         resume = run_to_resume(new) if resume == AUTO else None
     with stopping(supervised=given.supervised) as stop:
         if resume is None:
             _print_effects(new)
-            return run_learner(new, stop=stop)
+            return run_learner(new, stop=stop, origin=_origin(given))
         with lock_run(Path(resume), given.lock_fd) as lock:
             settings = settings_to_resume(Path(resume), over)
             if settings is None:
                 return notify_pending_actors(Path(resume), over, stop, lock)
             _print_effects(settings)
             return run_learner(settings, stop=stop, resume=True, skip_batch=given.skip_batch, lock=lock)
+
+
+def _origin(given: argparse.Namespace) -> Origin | None:
+    from services.learner.resume.origin import read_origin
+
+    return None if given.origin is None else read_origin(*parse_origin(given.origin))
 
 
 def _print_effects(settings: RunSettings) -> None:

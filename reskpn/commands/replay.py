@@ -41,6 +41,8 @@ def verify_run(path: Path, until: int | None) -> int:
     enable_compilation_cache()
     found = differences(run.origins(), origin(source_commit(), software_versions(), hardware()))
     trainer = Trainer(run.settings)
+    if (initial := run.initial_state()) is not None:
+        trainer.restore(initial)
     print(f"{run.run}: verifying {total} updates of {run.settings.learner} on {run.settings.task}", flush=True)
     trainer.compile()
     with progress_bar() as bar, read_ahead(run.updates(until=until)) as updates:

@@ -6,6 +6,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
+from reskpn.commands.beginning import add_from, origin_settings, refuse_two_beginnings
 from reskpn.commands.command import Command
 from reskpn.commands.resuming import add_skip_batch, close_log, lock_run, refuse_stray_skip, settings_to_resume
 from reskpn.commands.settings_options import add_settings, settings_epilog, settings_given, settings_given_over
@@ -15,6 +16,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     parser.add_argument("--resume", metavar="RUN_DIR", help="continue the unfinished run in that directory")
     add_skip_batch(parser)
+    add_from(parser)
 
 
 def run(given: argparse.Namespace) -> int:
@@ -22,6 +24,10 @@ def run(given: argparse.Namespace) -> int:
     from reskpn.supervision.supervisor import train
 
     refuse_stray_skip(given)
+    refuse_two_beginnings(given)
+    if given.origin is not None:
+        base = origin_settings(given.origin)
+        return train(settings_given_over(given)(base, own_endpoint=False), origin=given.origin)
     if given.resume is None:
         return train(settings_given(given))
     # No process is left that was told the run's former address: a free port is as good.

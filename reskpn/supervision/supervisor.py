@@ -21,11 +21,14 @@ from reskpn.supervision.stopping import stopping
 POLL_S = 0.1
 
 
-def train(settings: RunSettings, *, resume: LogLock | None = None, skip_batch: bool = False) -> int:
+def train(
+    settings: RunSettings, *, resume: LogLock | None = None, skip_batch: bool = False, origin: str | None = None
+) -> int:
     """Run to the end and return the learner's exit code.
 
     `resume`: the lock of the unfinished run in `settings.run_dir` to continue, whose settings these are;
-    `skip_batch`: without the logged batch of its next update.
+    `skip_batch`: without the logged batch of its next update. `origin`: the run, and version, whose state a new run
+    begins with.
 
     Actors are started beside the learner, not after it: all of them take seconds to load.
 
@@ -43,6 +46,7 @@ def train(settings: RunSettings, *, resume: LogLock | None = None, skip_batch: b
         stop = stack.enter_context(stopping(supervised=False))
         how = [] if resume is None else ["--resume", str(run_dir), "--lock-fd", str(resume.fd)]
         how += ["--skip-batch"] if skip_batch else []
+        how += [] if origin is None else ["--from", origin]
         learner = processes.start(
             [*processes.reskpn_command("learner"), "--config", str(config), *how],
             keep=() if resume is None else (resume.fd,),

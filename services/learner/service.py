@@ -23,11 +23,13 @@ from services.learner.endpoints.listening import open_listener
 from services.learner.endpoints.sizes import check_rollout_size
 from services.learner.loop import TrainingLoop
 from services.learner.reporting.curves import points_of_evaluation, restore_points
-from services.learner.reporting.outlets import Outlets, open_outlets
+from services.learner.reporting.outlets import Beginning, Outlets, open_outlets
 from services.learner.reporting.summary import conclude, describe, final_record, summarise
+from services.learner.resume.origin import Origin, begin_from
 from services.learner.resume.plan import Resumption, plan_resumption
 from services.learner.resume.resumed_replay import ResumedReplay
 from services.learner.training.checkpoints import Checkpoints
+from services.learner.training.snapshots import make_snapshot
 from services.learner.training.trainer import Trainer
 
 
@@ -38,11 +40,15 @@ def run_learner(
     resume: bool = False,
     skip_batch: bool = False,
     lock: LogLock | None = None,
+    origin: Origin | None = None,
 ) -> int:
     """Serve one run to its end, in this process. Returns the exit code: 0, or 130 where `stop` was set.
 
-    `resume`: go on with the unfinished run in `settings.run_dir`, whose settings these are; `skip_batch`: without the
-    logged batch of its next update. `lock`: of its log, where the caller holds it.
+    Args:
+        resume: go on with the unfinished run in `settings.run_dir`, whose settings these are.
+        skip_batch: go on without the logged batch of its next update.
+        lock: of the run's log, where the caller holds it.
+        origin: the state that a new run begins with.
 
     Raises:
         ReskpnError: anything that keeps the run from going on. The log is closed and whole then.
@@ -55,23 +61,22 @@ def run_learner(
     with ExitStack() as stack:
         listener = stack.enter_context(make_listener_monitor(settings.transport))
         session = stack.enter_context(open_listener(settings.transport))
-        # Only now: an address that is in use leaves no directory behind that looks like a run.
+        trainer = Trainer(settings)
+        if origin is not None:
+            begin_from(origin, trainer)
+        # Only now: an address in use or a state that does not fit leaves no directory behind that looks like a run.
         run_dir = settings.run_dir if resume else claim_run_dir(settings)
         assert run_dir is not None
         lock = lock or stack.enter_context(LogLock(run_dir / LOG_DIRECTORY))
         resumption = _resume(settings, run_dir, lock, skip_batch=skip_batch) if resume else None
         write_settings(run_dir, settings)
-        resumption = resumption or Resumption(_new_name(settings))
-        outlets = stack.enter_context(open_outlets(resumption.run, settings, run_dir, stop, lock))
-        if resumption.set_aside is not None:
-            outlets.log.write("/set_aside", resumption.set_aside)
-        restore_points(outlets.scalars, run_dir)
-        for note in resumption.notes:
-            outlets.events.add("info", "resumed", note)
+        resumption = resumption or _new_run(settings, origin)
+        beginning = None if origin is None else _beginning(origin, resumption.run, trainer)
+        outlets = stack.enter_context(open_outlets(resumption.run, settings, run_dir, stop, lock, beginning))
+        _tell_of_beginning(resumption, outlets, run_dir, "resumed" if resume else "began_from")
         hub = _make_hub(settings, session, outlets, resumption)
         listener.watch(session, hub.connection_refused)
         replay = ResumedReplay(hub, resumption, outlets.events.add)
-        trainer = Trainer(settings)
         if resumption.arrays is not None:
             trainer.restore(resumption.arrays)
         checkpoints = Checkpoints(resumption.run, run_dir)
@@ -131,5 +136,21 @@ def _resume(settings: RunSettings, run_dir: Path, lock: LogLock, *, skip_batch: 
     return resumption
 
 
-def _new_name(settings: RunSettings) -> str:
-    return f"{settings.task}-{settings.learner}-s{settings.seed}-{secrets.token_hex(3)}"
+def _new_run(settings: RunSettings, origin: Origin | None) -> Resumption:
+    run = f"{settings.task}-{settings.learner}-s{settings.seed}-{secrets.token_hex(3)}"
+    if origin is None:
+        return Resumption(run)
+    note = f"begins with the state of {origin.run} at version {origin.version}, digest {origin.digest}"
+    return Resumption(run, notes=[note])
+
+
+def _tell_of_beginning(resumption: Resumption, outlets: Outlets, run_dir: Path, name: str) -> None:
+    if resumption.set_aside is not None:
+        outlets.log.write("/set_aside", resumption.set_aside)
+    restore_points(outlets.scalars, run_dir)
+    for note in resumption.notes:
+        outlets.events.add("info", name, note)
+
+
+def _beginning(origin: Origin, run: str, trainer: Trainer) -> Beginning:
+    return Beginning(origin.record, make_snapshot(run, 0, trainer.state_arrays()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,9 @@ from common.log.writer import LogWriter
 from common.output import run_output
 from common.physics.assets import model_xml
 from common.runs.directory import TENSORBOARD
+from common.runs.initial_state import ATTACHMENT, MEDIA_TYPE
 from common.runtime import hardware, software_versions, source_commit
+from common.wire.messages import Snapshot
 from services.learner.reporting.curves import EVAL_RETURN, RETURN, comparable_settings
 from services.learner.reporting.display import Display, make_display
 from services.learner.reporting.scalars import Scalars
@@ -53,11 +55,27 @@ class Outlets:
     failures: list[LogWriteError]
 
 
+@dataclass(frozen=True)
+class Beginning:
+    """The state that a run begins with, and the run and version that it is of."""
+
+    origin: Mapping[str, str]
+    state: Snapshot
+
+
 @contextmanager
 def open_outlets(
-    run: str, settings: RunSettings, run_dir: Path, stop: threading.Event, lock: LogLock | None = None
+    run: str,
+    settings: RunSettings,
+    run_dir: Path,
+    stop: threading.Event,
+    lock: LogLock | None = None,
+    beginning: Beginning | None = None,
 ) -> Iterator[Outlets]:
-    """Open all of them; `stop` is set when the log fails. Raises LogWriteError as `LogWriter`, which has `lock`."""
+    """Open all of them; `stop` is set when the log fails. Raises LogWriteError as `LogWriter`, which has `lock`.
+
+    `beginning`: of a new run that begins with another's state.
+    """
     failures: list[LogWriteError] = []
 
     def on_log_error(error: LogWriteError) -> None:
@@ -65,7 +83,7 @@ def open_outlets(
         stop.set()
 
     with ExitStack() as stack:
-        log = stack.enter_context(_open_log(run, settings, run_dir, lock, on_log_error))
+        log = stack.enter_context(_open_log(run, settings, run_dir, lock, beginning, on_log_error))
         display = make_display(
             f"ResKPN {run}: {settings.learner} on {settings.task}, {settings.updates} updates of "
             f"{settings.batch_size:,} steps\nlistening on {settings.transport.endpoint}; files in {run_dir}",
@@ -80,10 +98,19 @@ def open_outlets(
 
 
 def _open_log(
-    run: str, settings: RunSettings, run_dir: Path, lock: LogLock | None, on_error: Callable[[LogWriteError], None]
+    run: str,
+    settings: RunSettings,
+    run_dir: Path,
+    lock: LogLock | None,
+    beginning: Beginning | None,
+    on_error: Callable[[LogWriteError], None],
 ) -> LogWriter:
     versions = software_versions()
     commit = source_commit()
+    attachments = {f"{settings.task}.xml": ("application/xml", model_xml(settings.task).encode())}
+    origin = {} if beginning is None else {"origin": dict(beginning.origin)}
+    if beginning is not None:
+        attachments[ATTACHMENT] = (MEDIA_TYPE, beginning.state.encode())
     log = LogWriter(
         run_dir / LOG_DIRECTORY,
         segment_bytes=settings.log.segment_bytes,
@@ -93,11 +120,12 @@ def _open_log(
             "settings": {"json": settings.model_dump_json()},
             "versions": versions,
             "hardware": hardware(),
+            **origin,
         },
-        attachments={f"{settings.task}.xml": ("application/xml", model_xml(settings.task).encode())},
+        attachments=attachments,
         lock=lock,
         on_error=on_error,
     )
     spec = {"run": run, "commit": commit, "settings": settings.model_dump(mode="json"), "versions": versions}
-    log.write("/spec", spec)
+    log.write("/spec", spec | origin)
     return log

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from common.log.lock import LogLock
 from common.log.reader import LogReader
 from common.log.repair import repair
 from common.log.segments import LOG_DIRECTORY, list_segments
+from common.runs.initial_state import read_initial_state
 from common.wire.rollout import RolloutId
 from services.learner.resume.logged_run import LoggedRun, read_logged_run
 from services.learner.resume.restore_point import RestorePoint, choose_restore_point
@@ -32,7 +33,7 @@ class Resumption:
 
     Attributes:
         version: of the restore point; 0 for the beginning.
-        arrays: the learner's state; None at version 0, where the settings decide it.
+        arrays: the learner's state; None where the settings decide it, at version 0.
         starts: where each slot goes on.
         fresh_starts: where each slot goes on instead, with new environments, if acting does not reproduce the log.
         tail: the content of the log after the restore point.
@@ -82,6 +83,8 @@ def plan_resumption(
     point = choose_restore_point(run, settings, run_dir, logged, notes)
     updates = logged.places(point.version)
     log_only_reason = _log_only_reason(settings, point, logged, updates)
+    if point.version == 0 and (initial := read_initial_state(LogReader(run_dir))) is not None:
+        point = replace(point, arrays=initial.arrays)
     fresh_starts = _fresh_starts(settings.actors, point, logged)
     notes.append(_describe(point, len(updates), len(logged.unused)))
     return Resumption(

@@ -39,7 +39,13 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, RunSettings, bool]
         return 0
 
     def run_learner(
-        settings: RunSettings, *, stop: object, resume: bool = False, skip_batch: bool = False, lock: object = None
+        settings: RunSettings,
+        *,
+        stop: object,
+        resume: bool = False,
+        skip_batch: bool = False,
+        lock: object = None,
+        origin: object = None,
     ) -> int:
         calls.append(("learner without a batch" if skip_batch else "learner", settings, resume))
         return 0
