@@ -12,6 +12,7 @@ its calls from 1; with TEXT only those whose arguments hold it, in Python's nota
     drop N MODULE:NAME                       every call whose number N divides does nothing
     leave MODULE:NAME N [TEXT]               SIGTERM to itself before that call: it ends in good order
     rogue FILE                               an actor that also sends wrong messages (`rogue.py`)
+    soak SEED FILE                           an actor that sends mutated messages all the time (`soak.py`)
     small BYTES                              no file may grow larger
 """
 
@@ -156,6 +157,12 @@ def rogue(account: str) -> None:
     wrap("services.actor.link:ActorLink.push", Rogue(Path(account)).push)
 
 
+def soak(seed: str, account: str) -> None:
+    from tests.chaos.soak import SoakingActor
+
+    wrap("services.actor.link:ActorLink.push", SoakingActor(int(seed), Path(account)).push)
+
+
 def small(size: str) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(size), int(size)))
 
@@ -170,6 +177,7 @@ KINDS: dict[str, Callable[..., None]] = {
     "drop": drop,
     "leave": leave,
     "rogue": rogue,
+    "soak": soak,
     "small": small,
 }
 
