@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from typing import Any, ClassVar, Self, get_type_hints
 
 from common.errors import CodecError
@@ -17,7 +17,7 @@ class Message:
     """Subclasses are dataclasses whose fields are annotated `Annotated[type, reader]`; see `common.wire.fields`."""
 
     OLDEST_SCHEMA: ClassVar[int] = SCHEMA_VERSION
-    """The oldest schema version with the same fields: what is in logs and checkpoints outlives a release."""
+    """The oldest schema version that is read: later ones only added fields with defaults. Logs outlive a release."""
 
     LIMITS: ClassVar[Limits] = LIMITS
     """The limits that hold where `decode` is given none: small for messages that are always small."""
@@ -38,12 +38,16 @@ class Message:
         _check_schema(cls.__name__, raw, cls.OLDEST_SCHEMA)
         readers = _readers(cls)
         given = raw.keys() - {"schema"}
-        if missing := readers.keys() - given:
+        missing = readers.keys() - given
+        if raw["schema"] < SCHEMA_VERSION:
+            # Fields that came later have defaults, which are what the older release meant.
+            missing -= {field.name for field in fields(cls) if field.default is not MISSING}  # type: ignore[arg-type]
+        if missing:
             raise CodecError("missing_field", f"{cls.__name__} without {', '.join(sorted(missing))}")
         if unknown := given - readers.keys():
             shown = ", ".join(sorted(quoted(name, 40) for name in itertools.islice(unknown, 4)))
             raise CodecError("unknown_field", f"{cls.__name__} with fields it does not have: {shown:.200}")
-        return cls(**{name: read(name, raw[name]) for name, read in readers.items()})
+        return cls(**{name: read(name, raw[name]) for name, read in readers.items() if name in given})
 
 
 def _check_schema(message: str, raw: dict[str, Any], oldest: int) -> None:

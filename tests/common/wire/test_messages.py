@@ -526,3 +526,14 @@ def test_no_more_simulations_diverged_than_episodes_were_terminated() -> None:
     make_rollout(diverged=1).check(SHAPE)
     with pytest.raises(CodecError, match="diverged is 2; only 1 episodes were terminated"):
         make_rollout(diverged=2).check(SHAPE)
+
+
+def test_fields_that_came_later_have_their_defaults_in_older_logs():
+    """A rollout of schema 2 says nothing of divergence: none, and the rest as it is. One of this schema must say it."""
+    raw = codec.decode(make_rollout(seq=3).encode())
+    del raw["diverged"]
+    old = Rollout.decode(codec.encode(raw | {"schema": 2}))
+    assert (old.diverged, old.seq) == (0, 3)
+    assert refusal(Rollout, codec.encode(raw)).reason == "missing_field"
+    del raw["obs"]
+    assert refusal(Rollout, codec.encode(raw | {"schema": 2})).reason == "missing_field"
