@@ -24,6 +24,9 @@ COMMANDS = {
     "certs": "make the certificates of a run: an authority, and one for each process",
     "router": "relay messages between a learner and actors that cannot reach it, from a host that both can reach",
     "paper": "list, run and draw the experiments of the paper and of the study",
+    "compare": "show several runs side by side: curves with intervals, tables, a CSV file",
+    "sweep": "run and draw an experiment of your own: settings and seeds",
+    "report": "write runs as one HTML page that needs no network",
 }
 """What `--help` says of each command. The rest is in the command's module, which takes longer to load."""
 

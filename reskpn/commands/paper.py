@@ -61,6 +61,7 @@ def _run(given: argparse.Namespace) -> int:
     from reskpn.study.running import in_process
     from reskpn.study.session import make_runs
     from reskpn.study.store import Store
+    from reskpn.study.through_service import through_service
 
     if given.jobs < 1:
         raise SettingsError(f"--jobs is {given.jobs}; allowed: 1 or more")
@@ -74,7 +75,7 @@ def _run(given: argparse.Namespace) -> int:
         only={name: values for name, values in only.items() if values},
         jobs=given.jobs,
         say=lambda text: print(text, flush=True),
-        runner=in_process,
+        runner=through_service if given.service else in_process,
     )
     print(f"{made} runs made, {len(store)} results in {given.results}")
     return 0

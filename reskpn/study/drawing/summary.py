@@ -38,7 +38,7 @@ def draw_summary(groups: Sequence[Group], reference: Group) -> Figure | None:
     chances = [improvement(final[each.name], final[reference.name]) for each in others]
     _intervals(better, [each.label for each in others], chances, [groups.index(each) for each in others])
     better.axvline(0.5, color="#888888", linewidth=0.8)
-    better.set_xlim(0, 1)
+    better.set_xlim(-0.03, 1.03)
     better.set_xlabel(f"probability of being better\nthan {reference.label}")
     _profiles(profile, groups, final)
     return figure

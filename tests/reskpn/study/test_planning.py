@@ -1,0 +1,45 @@
+"""Trials of an experiment, and settings that other results decide."""
+
+from __future__ import annotations
+
+from reskpn.study.experiments import Experiment
+from reskpn.study.planning import plan
+from reskpn.study.store import Store
+from tests.reskpn.study.made_up import fill
+
+
+def test_trials_are_by_seed_then_task_then_arm(catalogue: dict[str, Experiment], store: Store) -> None:
+    """So that what is stopped early has all arms with as many seeds each."""
+    trials = plan(catalogue["rates"], "smoke", catalogue, store).trials
+    assert [(t.settings.seed, t.settings.task, t.arm) for t in trials] == [
+        (seed, task, arm) for seed in (0, 1) for task in ("hopper", "reacher") for arm in ("slow", "fast")
+    ]
+
+
+def test_a_scale_decides_the_size_of_runs(catalogue: dict[str, Experiment], store: Store) -> None:
+    """Laptop: 2e6 steps, 3e6 where episodes have 1,000 steps; the arm's own settings stay."""
+    trials = plan(catalogue["rates"], "laptop", catalogue, store).trials
+    steps = {trial.settings.task: trial.settings.total_steps for trial in trials}
+    assert steps == {"hopper": 2_000_000, "reacher": 3_000_000}
+    assert {t.arm: t.settings.algorithm.learning_rate for t in trials} == {"slow": 1e-4, "fast": 1e-3}
+    assert {trial.settings.physics for trial in trials} == {"native"}
+
+
+def test_arms_wait_for_the_results_that_decide_them(catalogue: dict[str, Experiment], store: Store) -> None:
+    """Until all of them are there, an arm has no trials."""
+    rates = plan(catalogue["rates"], "smoke", catalogue, store).trials
+    fill(store, rates, missing=1)
+    waiting = plan(catalogue["choice"], "smoke", catalogue, store)
+    assert waiting.undecided == {"tuned": "rates", "star": "widths"}
+    assert {trial.arm for trial in waiting.trials} == {"kpn"}
+
+
+def test_results_decide_settings(catalogue: dict[str, Experiment], store: Store) -> None:
+    """`fill` makes the later arm the better one, and spreads with variances 1 and 0.25: sigma* squared is 4."""
+    fill(store, plan(catalogue["rates"], "smoke", catalogue, store).trials)
+    fill(store, plan(catalogue["widths"], "smoke", catalogue, store).trials)
+    planned = plan(catalogue["choice"], "smoke", catalogue, store)
+    by_arm = {trial.arm: trial.settings for trial in planned.trials}
+    assert planned.undecided == {}
+    assert (by_arm["tuned"].learner, by_arm["tuned"].algorithm.learning_rate) == ("dpo", 1e-3)
+    assert (by_arm["star"].learner, by_arm["star"].rkhs.bandwidth) == ("origin-kernel", 4.0)
