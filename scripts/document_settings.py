@@ -26,7 +26,8 @@ algorithm:
 
 These sources come in this order, and the defaults last: the first source that sets a value takes precedence. Whole
 numbers may be written as `3e6`, and lists as `256,256` (or `[256, 256]`) in all of them. `--config paper` takes the
-paper's Table 1 (`reskpn/presets/paper.yaml`).
+paper's Table 1 (`reskpn/presets/paper.yaml`), `--config fast` settings that learn faster (`reskpn/presets/fast.yaml`,
+`method.md`).
 """
 
 

@@ -30,7 +30,7 @@ from common.config.settings import RunSettings, Section
 from common.config.tree import leaf
 from common.errors import SettingsError
 
-PRESETS = ("paper",)
+PRESETS = ("paper", "fast")
 
 OTHER_VARIABLES = frozenset({"RESKPN_CACHE_DIR"})
 """Variables with the prefix that are not settings of a run."""
