@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from common.errors import LogReadError
+from common.log.chain import ChainCheck
 from common.log.framing import TornTail
 from common.log.records import CHANNELS, LogMessage
 from common.log.segment_reader import SegmentReader
@@ -29,11 +30,11 @@ class LogReader:
     def __init__(self, path: Path) -> None:
         self._segments = [SegmentReader(segment) for segment in find_segments(path)]
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[LogMessage]:
+    def messages(self, topics: Collection[str] | None = None, chain: ChainCheck | None = None) -> Iterator[LogMessage]:
         """The messages in the order they were written, segment after segment; all topics if None.
 
-        Holds one chunk in memory at a time. Segments without a footer give the messages of their complete chunks;
-        `torn` says which those are.
+        Holds one chunk in memory at a time. `chain` follows all messages, whatever the topics. Segments without a
+        footer give the messages of their complete chunks; `torn` says which those are.
 
         Raises:
             LogReadError: there is no such topic; or, from the iterator, something is damaged. All messages given
@@ -42,7 +43,16 @@ class LogReader:
         for topic in topics or ():
             if topic not in CHANNELS:
                 raise LogReadError(unknown_name("topic of the log", topic, CHANNELS))
-        return (message for segment in self._segments for message in segment.messages(topics))
+        if chain is None:
+            return (message for segment in self._segments for message in segment.messages(topics))
+        return (message for message in self._chained(chain) if topics is None or message.topic in topics)
+
+    def _chained(self, chain: ChainCheck) -> Iterator[LogMessage]:
+        for segment in self._segments:
+            chain.begin_segment(segment.path, segment.metadata(), segment.attachments())
+            for message in segment.messages():
+                chain.read(message)
+                yield message
 
     @property
     def torn(self) -> list[TornTail]:

@@ -99,6 +99,8 @@ _UPDATE = _object(
     rollouts=_array("the rollouts used, in the order of use", _ROLLOUT_USED),
     state_digest=_string("digest of the state that results, hexadecimal"),
     metrics=_numbers("metrics of the update by name; null where not finite"),
+    log_digest=_string("digest of everything in the log before this message, hexadecimal"),
+    signature=_string("signature of log_digest, hexadecimal; only in a log that is signed"),
     seconds=_numbers("seconds spent by phase of the update"),
     staleness=_object(
         "Versions between the policy that acted and the one updated.",
@@ -164,6 +166,12 @@ _TRAJECTORY = _object(
     ),
 )
 
+_SEAL = _object(
+    "The last message of a log that was closed.",
+    log_digest=_string("digest of everything in the log before this message, hexadecimal"),
+    signature=_string("signature of log_digest, hexadecimal; only in a log that is signed"),
+)
+
 CHANNELS: dict[str, ChannelSpec] = {
     channel.topic: channel
     for channel in (
@@ -177,6 +185,7 @@ CHANNELS: dict[str, ChannelSpec] = {
         ChannelSpec("/event", "json", _EVENT),
         ChannelSpec("/eval", "json", _EVAL),
         ChannelSpec("/trajectory", "json", _TRAJECTORY),
+        ChannelSpec("/seal", "json", _SEAL),
     )
 }
 """Every channel by topic, in the order in which a segment declares them."""

@@ -13,11 +13,13 @@ from types import TracebackType
 from typing import Any
 
 from common.errors import LogWriteError
+from common.log.chain import Chain
 from common.log.failures import write_failure
 from common.log.lock import LogLock
 from common.log.records import CHANNELS, encode_json
-from common.log.segment_writer import Attachments, Compression, Metadata, SegmentWriter
-from common.log.segments import list_segments, segment_number, segment_path
+from common.log.segment_sequence import SegmentSequence
+from common.log.segment_writer import Attachments, Compression, Metadata
+from common.log.signatures import Signer
 from common.suggestions import unknown_name
 
 _GROUP_BYTES = 32 << 20
@@ -56,6 +58,9 @@ class LogWriter:
         clock_ns: nanoseconds for messages that are written without a time.
         metadata: by name, put at the start of every segment, so that each can be read alone.
         attachments: name -> (media type, content), put into the first segment that this writer begins.
+        chain: names in every `/update` the digest of what was written before, and seals the log when it is closed; None
+            for a log without.
+        signer: signs those digests.
         lock: of the log, where the caller holds it, and goes on holding it after `close`; else the writer takes it.
         on_error: called once, from the writer's thread, with the failure that ended the log. It must not call
             `close`, which waits for that thread.
@@ -75,16 +80,14 @@ class LogWriter:
         clock_ns: Callable[[], int] = time.time_ns,
         metadata: Metadata | None = None,
         attachments: Attachments | None = None,
+        chain: Chain | None = None,
+        signer: Signer | None = None,
         lock: LogLock | None = None,
         on_error: Callable[[LogWriteError], None] | None = None,
     ) -> None:
         self._directory = directory
-        self._segment_bytes = segment_bytes
-        self._segment_messages = segment_messages
-        self._compression = compression
         self._sync_period_s = sync_period_s
         self._clock_ns = clock_ns
-        self._metadata = dict(metadata or {})
         self._on_error = on_error
 
         self._changed = threading.Condition()
@@ -97,10 +100,23 @@ class LogWriter:
         self._failure: LogWriteError | None = None
         # to here; what follows belongs to the thread.
         self._sync_due_s: float | None = None
-        self._last_sync_s = time.monotonic()
 
         self._lock = LogLock(directory) if lock is None else None
-        self._number, self._segment = self._begin(attachments or {})
+        try:
+            self._segments = SegmentSequence(
+                directory,
+                segment_bytes=segment_bytes,
+                segment_messages=segment_messages,
+                compression=compression,
+                clock_ns=clock_ns,
+                metadata=metadata or {},
+                attachments=attachments or {},
+                chain=chain,
+                signer=signer,
+            )
+        except OSError as error:
+            self._unlock()
+            raise write_failure(directory, error) from error
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="log-writer", daemon=True)
         self._thread.start()
@@ -203,36 +219,18 @@ class LogWriter:
         if self._lock is not None:
             self._lock.release()
 
-    def _begin(self, attachments: Attachments) -> tuple[int, SegmentWriter]:
-        try:
-            present = list_segments(self._directory)
-            number = 1 + (segment_number(present[-1]) or 0) if present else 0
-            return number, self._open_segment(number, attachments)
-        except OSError as error:
-            self._unlock()
-            raise write_failure(self._directory, error) from error
-
-    def _open_segment(self, number: int, attachments: Attachments) -> SegmentWriter:
-        return SegmentWriter(
-            segment_path(self._directory, number),
-            compression=self._compression,
-            metadata=self._metadata,
-            attachments=attachments,
-            t_ns=self._clock_ns(),
-        )
-
     def _run(self) -> None:
         try:
             while (group := self._next_group()) is not None:
                 if group:
                     self._commit(group)
                 self._sync_if_due()
-            self._segment.finish()
+            self._segments.finish()
         except OSError as error:
-            self._fail(write_failure(self._segment.path, error), error)
+            self._fail(write_failure(self._segments.path, error), error)
         except Exception as error:
             # Of whatever kind the failure is, the service must not go on without its log.
-            self._fail(LogWriteError(f"the log {self._segment.path} stopped: {error!r}"), error)
+            self._fail(LogWriteError(f"the log {self._segments.path} stopped: {error!r}"), error)
 
     def _next_group(self) -> list[_Entry] | None:
         """The queued messages, up to the bytes of one commit; empty when a sync is due; None at the end."""
@@ -250,13 +248,9 @@ class LogWriter:
 
     def _commit(self, group: list[_Entry]) -> None:
         began_s = time.monotonic()
-        if self._is_full():
-            self._roll()
-        for entry in group:
-            self._segment.add(entry.topic, entry.t_ns, entry.data)
-        self._segment.commit()
+        self._segments.append((entry.topic, entry.t_ns, entry.data) for entry in group)
         if self._sync_due_s is None:
-            self._sync_due_s = self._last_sync_s + self._sync_period_s
+            self._sync_due_s = self._segments.synced_s + self._sync_period_s
         with self._changed:
             self._pending_bytes -= sum(len(entry.data) for entry in group)
         for entry in group:
@@ -267,32 +261,17 @@ class LogWriter:
             self._busy_s += time.monotonic() - began_s
             self._changed.notify_all()
 
-    def _is_full(self) -> bool:
-        # Metadata alone may exceed the size: without a message in each, segments would be rolled for ever.
-        messages, size = self._segment.messages, self._segment.size
-        return messages > 0 and (size >= self._segment_bytes or messages >= self._segment_messages)
-
-    def _roll(self) -> None:
-        self._segment.finish()
-        self._synced()
-        self._number += 1
-        self._segment = self._open_segment(self._number, {})
-
     def _sync_if_due(self) -> None:
         began_s = time.monotonic()
         if self._sync_due_s is not None and began_s >= self._sync_due_s:
-            self._segment.sync()
-            self._synced()
+            self._segments.sync()
+            self._sync_due_s = None
             with self._changed:
                 self._busy_s += time.monotonic() - began_s
 
-    def _synced(self) -> None:
-        self._sync_due_s = None
-        self._last_sync_s = time.monotonic()
-
     def _fail(self, failure: LogWriteError, cause: BaseException) -> None:
         failure.__cause__ = cause
-        self._segment.abandon()
+        self._segments.abandon()
         with self._changed:
             self._failure = failure
             self._queue.clear()

@@ -43,6 +43,7 @@ def one_of_each() -> dict[str, bytes | dict[str, Any]]:
         "/event": {"level": "info", "name": "joined", "text": "actor 0 joined", "slot": 0},
         "/eval": {"version": 1, "episodes": 4, "return_mean": 10.0},
         "/trajectory": {"version": 1, "source": "e1", "steps": [{"time_s": 0.5, "qpos": [0.25]}]},
+        "/seal": {"log_digest": "00"},
     }
 
 
@@ -159,7 +160,8 @@ def test_busy_seconds_are_those_of_the_thread_at_work(tmp_path: Path, monkeypatc
     def takes(seconds: float) -> Callable[[], None]:
         return lambda: clock_s.__setitem__(0, clock_s[0] + seconds)
 
-    monkeypatch.setattr("common.log.writer.time", SimpleNamespace(monotonic=lambda: clock_s[0]))
+    for module in ("writer", "segment_sequence"):
+        monkeypatch.setattr(f"common.log.{module}.time", SimpleNamespace(monotonic=lambda: clock_s[0]))
     monkeypatch.setattr(os, "fdatasync", lambda fd: takes(2.0)())
     with LogWriter(tmp_path, sync_period_s=200.0) as log:
         assert log.busy_s == 0.0
