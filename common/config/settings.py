@@ -108,6 +108,8 @@ class LogSettings(Section):
     """number of versions from one logged policy to the next"""
     checkpoint_every: Count = 50
     """number of versions from one checkpoint to the next"""
+    signing_key: Path | None = None
+    """PEM file with the Ed25519 private key that signs the chain of the log; default: no signatures"""
 
 
 class EvaluationSettings(Section):

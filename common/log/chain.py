@@ -96,6 +96,7 @@ class ChainCheck:
         self.unsealed = 0
         self.first: Path | None = None
         self._verifier = verifier
+        self._closed = False
         self._chain: Chain | None = None
 
     @property
@@ -106,7 +107,7 @@ class ChainCheck:
     @property
     def closed(self) -> bool:
         """True if the last message is the seal that a writer leaves when it closes a log."""
-        return self.sealed > 0 and self.unsealed == 0
+        return self._closed
 
     def begin_segment(self, path: Path, metadata: Metadata, attachments: Attachments) -> None:
         """Read the beginning of the next segment."""
@@ -127,6 +128,7 @@ class ChainCheck:
     def read(self, message: LogMessage) -> None:
         """Read the next message."""
         assert self._chain is not None
+        self._closed = message.topic == "/seal"
         if message.topic in SEALED:
             self._check(message, self._chain)
         else:

@@ -12,6 +12,7 @@ import numpy as np
 from common.config.settings import RunSettings
 from common.config.sources import parse_json
 from common.errors import CodecError, LogReadError
+from common.log.chain import ChainCheck
 from common.log.reader import LogMessage, LogReader, TornTail
 from common.log.segments import find_segments
 from common.runs.initial_state import read_initial_state
@@ -54,6 +55,7 @@ class RecordedRun:
                     metadata.get("run", {}).get("commit", "unknown"),
                     metadata.get("versions", {}),
                     metadata.get("hardware", {}),
+                    metadata.get("environment", {}),
                 )
             )
         return found
@@ -62,6 +64,10 @@ class RecordedRun:
         """The learner's state before the first update; None where the settings decide it."""
         found = read_initial_state(self._reader)
         return None if found is None else found.arrays
+
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """The metadata by name, of the newest segment that has it."""
+        return self._reader.metadata()
 
     def count_updates(self) -> int:
         """Updates in the log. Unfinished segments are read for it."""
@@ -100,19 +106,24 @@ class RecordedRun:
             except CodecError as error:
                 raise LogReadError(f"message {message.sequence} of /policy is not a policy: {error}") from None
 
-    def messages(self) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
+    def messages(self, chain: ChainCheck | None = None) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
         """Every message of the log as it was written, and its content where it is of /rollout or /update.
+
+        `chain` follows them.
 
         Raises (from the iterator):
             LogReadError: as `updates`.
         """
-        return self._walk(None, None)
+        return self._walk(None, None, chain)
 
     def _walk(
-        self, topics: Collection[str] | None, on_unused: Callable[[Rollout], None] | None
+        self,
+        topics: Collection[str] | None,
+        on_unused: Callable[[Rollout], None] | None,
+        chain: ChainCheck | None = None,
     ) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
         reader = UpdateReader(self.path, self.settings, on_unused=on_unused)
-        for message in self._reader.messages(topics):
+        for message in self._reader.messages(topics, chain):
             yield message, reader.read(message)
         reader.close()
 

@@ -16,7 +16,7 @@ from common.log.reader import LogReader
 from common.log.segments import LOG_DIRECTORY, list_segments, unreadable
 from common.runs.directory import SETTINGS, SUMMARY
 
-MAY_CHANGE = ("transport.", "total_steps", "run_dir")
+MAY_CHANGE = ("transport.", "total_steps", "run_dir", "log.signing_key")
 """Settings, or sections of them, that do not affect what a run learns from the experience it has collected."""
 
 

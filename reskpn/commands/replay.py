@@ -11,10 +11,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from common.config.settings import RunSettings, TransportSettings
 from common.errors import INTERRUPTED, SettingsError
+from common.log.chain import ChainCheck
+from common.log.signatures import Verifier
+from common.numerical_environment import adopt, numerical_environment
 from common.runs.directory import SUMMARY, claim_run_dir
 from common.runs.origins import bits_can_differ, differences, origin
 from common.runs.read_ahead import read_ahead
 from common.runs.recorded_run import RecordedRun, open_run
+from common.runs.recorded_updates import RecordedUpdate
 from reskpn.commands.command import EXIT_CODES, Command
 from reskpn.commands.connection import add_connection, over
 from reskpn.commands.settings_options import add_settings, settings_given_over
@@ -26,33 +30,56 @@ DIVERGED = 1
 """Exit code of a verification that did not come by the recorded states."""
 
 
-def verify_run(path: Path, until: int | None) -> int:
-    """Re-execute the learner of a recorded run, and print whether every state came out as recorded.
+def verify_run(path: Path, until: int | None, public_key: Path | None = None) -> int:
+    """Re-execute the learner of a recorded run, and print whether every record came out as recorded.
+
+    `public_key`: a file; the chain of the log must be signed with its other half.
 
     Returns 0 where all agree, else 1. Raises ReskpnError where the log cannot be verified.
     """
     from common.runtime import enable_compilation_cache, hardware, software_versions, source_commit
-    from reskpn.commands.verdicts import describe_verdict
+    from common.wire.messages import digest_arrays
+    from reskpn.commands.verdicts import describe_audit, describe_verdict
     from services.learner.training.trainer import Trainer
+    from services.replay.audit import Audit
     from services.replay.verify import verify
 
+    chain = ChainCheck(None if public_key is None else Verifier(public_key))
     run = open_run(path)
     total = updates_to_read(run, until)
     enable_compilation_cache()
-    found = differences(run.origins(), origin(source_commit(), software_versions(), hardware()))
+    origins = run.origins()
+    for note in adopt(run.metadata().get("environment", {}), origins[0].get("cores", "")):
+        print(note)
+    found = differences(origins, origin(source_commit(), software_versions(), hardware(), numerical_environment()))
     trainer = Trainer(run.settings)
     if (initial := run.initial_state()) is not None:
         trainer.restore(initial)
     print(f"{run.run}: verifying {total} updates of {run.settings.learner} on {run.settings.task}", flush=True)
     trainer.compile()
-    with progress_bar() as bar, read_ahead(run.updates(until=until)) as updates:
+    audit = Audit(run, chain, lambda: digest_arrays(trainer.policy_arrays()))
+    with progress_bar() as bar, read_ahead(audit.updates(until)) as updates:
         task = bar.add_task("verifying", total=total)
+
+        def on_update(update: RecordedUpdate) -> None:
+            bar.advance(task)
+            audit.check(update, exact=trainer.digest() == update.state_digest)
+
         verdict = verify(
-            updates, trainer, allow_other_bits=bits_can_differ(found), on_update=lambda _: bar.advance(task)
+            updates,
+            trainer,
+            allow_other_bits=bits_can_differ(found),
+            allow_other_metrics=any(difference.name in ("commit", "reskpn") for difference in found),
+            on_update=on_update,
         )
+    if verdict.agrees and until is None:
+        audit.conclude()
+    findings = [*chain.findings, *audit.findings]
     for line in (*describe_torn(run), *describe_verdict(verdict, found)):
         print(line)
-    return 0 if verdict.agrees else DIVERGED
+    for line in describe_audit(findings, chain, whole=verdict.agrees and until is None):
+        print(line)
+    return 0 if verdict.agrees and not findings else DIVERGED
 
 
 def extract_run(path: Path, folder: Path) -> int:
@@ -181,6 +208,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     uses.add_argument("--publish", action="store_true", help="publish the log on the keys that the run used")
     uses.add_argument("--into", metavar="LEARNER", help="train another learner on the same experience")
     add("--until", type=int, metavar="V", help="with --verify: stop after this version (default: the last)")
+    add("--public-key", type=Path, metavar="FILE", help="with --verify: the log must be signed with its private half")
     add("--format", choices=("parquet",), default="parquet", help="with --extract (default: parquet)")
     add("--rate", type=_rate, default=1.0, metavar="R", help="with --publish: multiple of the run's pace, or max (1)")
     add_connection(parser, "with --publish: ", "address to listen on")
@@ -205,13 +233,15 @@ def run(given: argparse.Namespace) -> int:
     if given.publish:
         transport = over(TransportSettings(insecure=given.insecure), given)
         return publish_run(given.path, transport, given.rate, given.delay)
-    return verify_run(given.path, given.until)
+    return verify_run(given.path, given.until, given.public_key)
 
 
 def _refuse_misplaced_options(given: argparse.Namespace) -> None:
     """SettingsError for an option that this use of the log does not have."""
     if given.until is not None and not given.verify:
         raise SettingsError("--until goes with --verify; the other uses of a log take all of it")
+    if given.public_key is not None and not given.verify:
+        raise SettingsError("--public-key goes with --verify")
     settings = [name for name in vars(given) if name.split(".")[0] in RunSettings.model_fields]
     if settings and given.into is None:
         raise SettingsError(f"{settings[0]} is a setting of a learner; settings go with --into, the log has its own")

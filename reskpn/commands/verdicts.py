@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from common.runs.origins import BITS_DEPEND_ON, Difference
+from common.log.chain import ChainCheck
+from common.runs.origins import Difference
 from services.replay.verify import (
     ABSOLUTE_TOLERANCE,
     RELATIVE_TOLERANCE,
@@ -12,6 +13,9 @@ from services.replay.verify import (
     MetricDifference,
     Verdict,
 )
+
+FINDINGS = 20
+"""Findings that are printed."""
 
 TOLERANCE = f"within {ABSOLUTE_TOLERANCE:g} + {RELATIVE_TOLERANCE:.0%} of the recorded value"
 
@@ -32,9 +36,41 @@ def describe_verdict(verdict: Verdict, found: Sequence[Difference]) -> Iterator[
                 f"  updates 1 to {verdict.tolerance_from - 1} were equal bit for bit all the same, so unless the run "
                 "moved to another machine there, a changed log is likelier than other arithmetic"
             )
+    if verdict.metrics_from is not None:
+        yield (
+            f"metrics differ from update {verdict.metrics_from} on, while all states are as recorded: the log was "
+            "written by another commit, which computed them otherwise"
+        )
     yield from _machine(found)
     if verdict.speed is not None:
         yield f"{verdict.replay_s:.1f} s where the run took {verdict.live_s:.1f} s: {verdict.speed:.2f} times its speed"
+
+
+def describe_audit(findings: Sequence[str], chain: ChainCheck, *, whole: bool) -> Iterator[str]:
+    """The audit and the chain as lines; `whole`: the log was read to its end."""
+    for finding in findings[:FINDINGS]:
+        yield f"RECORDS DIFFER: {finding}"
+    if len(findings) > FINDINGS:
+        yield f"... and {len(findings) - FINDINGS} more"
+    if not chain.sealed:
+        yield (
+            "this log has no chain, as those of earlier releases: of its events, evaluations and metadata nothing is "
+            "known"
+        )
+        return
+    if chain.findings:
+        return
+    yield f"the chain holds: {chain.sealed} records name what was written before them{_end(chain, whole)}"
+    if chain.first is not None:
+        yield f"what came before {chain.first} is not there; the chain was taken up as that file says"
+
+
+def _end(chain: ChainCheck, whole: bool) -> str:
+    if chain.closed:
+        return ", and the log was closed"
+    if not whole:
+        return ""
+    return f"; the log was not closed, and its last {chain.unsealed} messages could be cut off unnoticed"
 
 
 def _how(verdict: Verdict) -> str:
@@ -47,6 +83,8 @@ def _how(verdict: Verdict) -> str:
 def _divergence(verdict: Verdict, divergence: Divergence) -> Iterator[str]:
     before = f"the {verdict.updates} before it agree{_how(verdict)}" if verdict.updates else "it is the first"
     yield f"update {divergence.version} DIVERGES; {before}"
+    if divergence.recorded_digest == divergence.recomputed_digest:
+        yield "  its state is the recorded one, and its metrics are not those that follow from it"
     yield f"  state digest recorded    {divergence.recorded_digest}"
     yield f"  state digest recomputed  {divergence.recomputed_digest or 'none: the update could not be applied'}"
     if divergence.reason:
@@ -74,5 +112,5 @@ def _machine(found: Sequence[Difference]) -> Iterator[str]:
         return
     yield "not as in the run:"
     for difference in found:
-        note = "" if difference.name in BITS_DEPEND_ON else " (does not excuse other bits)"
+        note = "" if difference.excuses_bits else " (does not excuse other bits)"
         yield f"  {difference}{note}"

@@ -25,8 +25,9 @@ from services.learner.loop import TrainingLoop
 from services.learner.reporting.curves import points_of_evaluation, restore_points
 from services.learner.reporting.outlets import Beginning, Outlets, open_outlets
 from services.learner.reporting.summary import conclude, describe, final_record, summarise
+from services.learner.resume.numerical_origin import adopt_numerical_origin
 from services.learner.resume.origin import Origin, begin_from
-from services.learner.resume.plan import Resumption, plan_resumption
+from services.learner.resume.plan import Resumption, chain_of, plan_resumption
 from services.learner.resume.resumed_replay import ResumedReplay
 from services.learner.training.checkpoints import Checkpoints
 from services.learner.training.snapshots import make_snapshot
@@ -61,6 +62,7 @@ def run_learner(
     with ExitStack() as stack:
         listener = stack.enter_context(make_listener_monitor(settings.transport))
         session = stack.enter_context(open_listener(settings.transport))
+        notes = adopt_numerical_origin(settings.run_dir) if resume and settings.run_dir else []
         trainer = Trainer(settings)
         if origin is not None:
             begin_from(origin, trainer)
@@ -70,9 +72,15 @@ def run_learner(
         lock = lock or stack.enter_context(LogLock(run_dir / LOG_DIRECTORY))
         resumption = _resume(settings, run_dir, lock, skip_batch=skip_batch) if resume else None
         write_settings(run_dir, settings)
-        resumption = resumption or _new_run(settings, origin)
+        resumption = resumption or _new_run(settings, origin, chain_of(run_dir))
         beginning = None if origin is None else _beginning(origin, resumption.run, trainer)
-        outlets = stack.enter_context(open_outlets(resumption.run, settings, run_dir, stop, lock, beginning))
+        outlets = stack.enter_context(
+            open_outlets(
+                resumption.run, settings, run_dir, stop, chain=resumption.chain, lock=lock, beginning=beginning
+            )
+        )
+        for note in notes:
+            outlets.events.add("info", "resumed", note)
         _tell_of_beginning(resumption, outlets, run_dir, "resumed" if resume else "began_from")
         hub = _make_hub(settings, session, outlets, resumption)
         listener.watch(session, hub.connection_refused)
@@ -136,12 +144,12 @@ def _resume(settings: RunSettings, run_dir: Path, lock: LogLock, *, skip_batch: 
     return resumption
 
 
-def _new_run(settings: RunSettings, origin: Origin | None) -> Resumption:
+def _new_run(settings: RunSettings, origin: Origin | None, chain: str) -> Resumption:
     run = f"{settings.task}-{settings.learner}-s{settings.seed}-{secrets.token_hex(3)}"
     if origin is None:
-        return Resumption(run)
+        return Resumption(run, chain=chain)
     note = f"begins with the state of {origin.run} at version {origin.version}, digest {origin.digest}"
-    return Resumption(run, notes=[note])
+    return Resumption(run, notes=[note], chain=chain)
 
 
 def _tell_of_beginning(resumption: Resumption, outlets: Outlets, run_dir: Path, name: str) -> None:

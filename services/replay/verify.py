@@ -51,7 +51,8 @@ class Verdict:
 
     `updates` agree with their records: those before version `tolerance_from` (None: all) bit for bit, the others in
     their metrics, within the tolerances. `live_s` is the time of the updates in the run and `replay_s` their time here;
-    both leave out the first, which waited for compilation.
+    both leave out the first, which waited for compilation. `metrics_from` is the first update whose state agrees but
+    not its metrics, which is let pass where another commit computed them; None where there is none.
     """
 
     updates: int
@@ -59,6 +60,7 @@ class Verdict:
     divergence: Divergence | None
     live_s: float
     replay_s: float
+    metrics_from: int | None = None
 
     @property
     def agrees(self) -> bool:
@@ -75,6 +77,7 @@ def verify(
     trainer: Trainer,
     *,
     allow_other_bits: bool,
+    allow_other_metrics: bool = False,
     on_update: Callable[[RecordedUpdate], None],
     clock_s: Callable[[], float] = time.monotonic,
 ) -> Verdict:
@@ -83,12 +86,13 @@ def verify(
     Args:
         trainer: in the state before the first update, compiled.
         allow_other_bits: where a digest differs, go on with the metrics and their tolerances from there on.
+        allow_other_metrics: where a state is the recorded one, let other metrics pass: another commit made them.
         on_update: called after each that agreed.
 
     Raises:
         LogReadError: of the log, or the first update is not the one after the trainer's state.
     """
-    count, tolerance_from, divergence = 0, None, None
+    count, tolerance_from, metrics_from, divergence = 0, None, None, None
     live_s, began_s = 0.0, clock_s()
     for update in updates:
         if update.version != trainer.version + 1:
@@ -97,6 +101,8 @@ def verify(
                 "computed from the first; restore the removed segments"
             )
         divergence, same_bits = _compare(update, trainer, allow_other_bits)
+        if divergence is not None and same_bits and allow_other_metrics:
+            metrics_from, divergence = metrics_from or update.version, None
         if divergence is not None:
             break
         if not same_bits and tolerance_from is None:
@@ -107,7 +113,7 @@ def verify(
             began_s = clock_s()
         count += 1
         on_update(update)
-    return Verdict(count, tolerance_from, divergence, live_s, clock_s() - began_s)
+    return Verdict(count, tolerance_from, divergence, live_s, clock_s() - began_s, metrics_from)
 
 
 def metric_differences(
@@ -123,14 +129,15 @@ def metric_differences(
 
 
 def _compare(update: RecordedUpdate, trainer: Trainer, allow_other_bits: bool) -> tuple[Divergence | None, bool]:
-    """Apply one update; returns its divergence, if any, and True if it is equal bit for bit."""
+    """Apply one update; returns its divergence, if any, and True if its state is equal bit for bit."""
     try:
         metrics = trainer.update(update.rollouts)
     except NumericsError as error:
         return Divergence(update.version, update.state_digest, "", (), str(error)), False
     digest = trainer.digest()
     if digest == update.state_digest:
-        return None, True
+        found = metric_differences(update.metrics, metrics, exact=True)
+        return (Divergence(update.version, digest, digest, found) if found else None), True
     if not allow_other_bits:
         found = metric_differences(update.metrics, metrics, exact=True)
         return Divergence(update.version, update.state_digest, digest, found), False

@@ -11,6 +11,7 @@ import numpy as np
 from samples import RUN, rollout, settings
 
 from common.config.settings import RunSettings
+from common.log.chain import Chain
 from common.log.writer import LogWriter
 from common.runtime import hardware, software_versions, source_commit
 from common.wire.messages import Snapshot, digest_arrays
@@ -118,11 +119,18 @@ def _facts(version: int, rollouts: Sequence[Rollout]) -> dict[str, Any]:
 
 
 def write_log(
-    run_dir: Path, messages: Iterable[Message], *, segment_bytes: int = 1 << 30, **metadata: dict[str, str]
+    run_dir: Path,
+    messages: Iterable[Message],
+    *,
+    segment_bytes: int = 1 << 30,
+    links: Chain | None = None,
+    **metadata: dict[str, str],
 ) -> Path:
     """A run directory with these messages in its log, a tenth of a second apart; `metadata` goes over the usual."""
     usual = {"run": {"run": RUN, "commit": source_commit()}, "versions": software_versions(), "hardware": hardware()}
-    with LogWriter(run_dir / "log", segment_bytes=segment_bytes, metadata=usual | metadata) as writer:
+    with LogWriter(
+        run_dir / "log", segment_bytes=segment_bytes, metadata=usual | metadata, chain=links, clock_ns=lambda: 0
+    ) as writer:
         for number, (topic, content) in enumerate(messages):
             writer.write(topic, content, t_ns=10**18 + number * 10**8)
             writer.flush(timeout_s=10.0)

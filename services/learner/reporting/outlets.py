@@ -10,9 +10,12 @@ from pathlib import Path
 
 from common.config.settings import RunSettings
 from common.errors import LogWriteError
+from common.log.chain import START, Chain
 from common.log.lock import LogLock
 from common.log.segments import LOG_DIRECTORY
+from common.log.signatures import Signer
 from common.log.writer import LogWriter
+from common.numerical_environment import numerical_environment
 from common.output import run_output
 from common.physics.assets import model_xml
 from common.runs.directory import TENSORBOARD
@@ -69,12 +72,15 @@ def open_outlets(
     settings: RunSettings,
     run_dir: Path,
     stop: threading.Event,
+    *,
+    chain: str = START,
     lock: LogLock | None = None,
     beginning: Beginning | None = None,
 ) -> Iterator[Outlets]:
-    """Open all of them; `stop` is set when the log fails. Raises LogWriteError as `LogWriter`, which has `lock`.
+    """Open all of them; `stop` is set when the log fails. LogWriteError as `LogWriter`.
 
-    `beginning`: of a new run that begins with another's state.
+    `chain`: digest of the log that is there. `lock`: of the log, where the caller holds it. `beginning`: of a new run
+    that begins with another's state.
     """
     failures: list[LogWriteError] = []
 
@@ -83,7 +89,7 @@ def open_outlets(
         stop.set()
 
     with ExitStack() as stack:
-        log = stack.enter_context(_open_log(run, settings, run_dir, lock, beginning, on_log_error))
+        log = stack.enter_context(_open_log(run, settings, run_dir, chain, lock, beginning, on_log_error))
         display = make_display(
             f"ResKPN {run}: {settings.learner} on {settings.task}, {settings.updates} updates of "
             f"{settings.batch_size:,} steps\nlistening on {settings.transport.endpoint}; files in {run_dir}",
@@ -101,6 +107,7 @@ def _open_log(
     run: str,
     settings: RunSettings,
     run_dir: Path,
+    chain: str,
     lock: LogLock | None,
     beginning: Beginning | None,
     on_error: Callable[[LogWriteError], None],
@@ -120,9 +127,12 @@ def _open_log(
             "settings": {"json": settings.model_dump_json()},
             "versions": versions,
             "hardware": hardware(),
+            "environment": numerical_environment(),
             **origin,
         },
         attachments=attachments,
+        chain=Chain(chain),
+        signer=None if settings.log.signing_key is None else Signer(settings.log.signing_key),
         lock=lock,
         on_error=on_error,
     )

@@ -11,6 +11,7 @@ from typing import Any
 
 from common.config.settings import RunSettings
 from common.errors import LogReadError
+from common.log.chain import ChainCheck
 from common.log.reader import LogReader
 from common.log.records import LogMessage
 from common.log.segments import find_segments
@@ -44,6 +45,7 @@ class LoggedRun:
         ahead: (topic, version) of records beyond the last update.
         set_aside: places of the rollouts that were set aside, by the version that they would have updated.
         first_version: version of the first update in each segment; None where it has none.
+        chain: of the whole log.
     """
 
     run_dir: Path
@@ -56,6 +58,7 @@ class LoggedRun:
     ahead: set[tuple[str, int]] = field(default_factory=set)
     first_version: list[int | None] = field(default_factory=list)
     set_aside: dict[int, set[RolloutId]] = field(default_factory=dict)
+    chain: ChainCheck = field(default_factory=ChainCheck)
 
     @property
     def last(self) -> int:
@@ -96,7 +99,7 @@ def read_logged_run(run_dir: Path, settings: RunSettings) -> LoggedRun:
     rollouts: deque[bytes] = deque(maxlen=(UNUSED_UPDATES + 1 + 2 * settings.staleness) * settings.actors)
     for path in found.segments:
         first: int | None = None
-        for message in LogReader(path).messages():
+        for message in LogReader(path).messages(chain=found.chain):
             if message.topic != "/eval" or is_of_the_run(message.json()):
                 newest[message.topic] = message
             if message.topic == "/rollout":

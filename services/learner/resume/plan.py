@@ -12,6 +12,7 @@ import numpy as np
 
 from common.config.settings import RunSettings
 from common.errors import CodecError, LogReadError
+from common.log.chain import START, ChainCheck
 from common.log.lock import LogLock
 from common.log.reader import LogReader
 from common.log.repair import repair
@@ -41,6 +42,7 @@ class Resumption:
         episodes: `/episode` records up to the restore point.
         set_aside: the `/set_aside` record of a batch that the run goes on without from now on; None for none.
         notes: for a person, line by line.
+        chain: digest of the log, from which its writer goes on.
     """
 
     run: str
@@ -54,6 +56,7 @@ class Resumption:
     episodes: Sequence[dict[str, Any]] = ()
     set_aside: dict[str, Any] | None = None
     notes: Sequence[str] = ()
+    chain: str = START
 
 
 def plan_resumption(
@@ -86,6 +89,7 @@ def plan_resumption(
     if point.version == 0 and (initial := read_initial_state(LogReader(run_dir))) is not None:
         point = replace(point, arrays=initial.arrays)
     fresh_starts = _fresh_starts(settings.actors, point, logged)
+    notes += [f"warning: {finding}; the run goes on from it all the same" for finding in logged.chain.findings]
     notes.append(_describe(point, len(updates), len(logged.unused)))
     return Resumption(
         run=run,
@@ -99,6 +103,7 @@ def plan_resumption(
         episodes=[record for record in logged.episodes if record["version"] <= point.version],
         set_aside=set_aside,
         notes=notes,
+        chain=logged.chain.digest,
     )
 
 
@@ -111,6 +116,15 @@ def _set_aside(logged: LoggedRun, notes: list[str]) -> dict[str, Any]:
     logged.set_aside.setdefault(logged.last, set()).update(ids)
     notes.append(f"set aside: the {len(batch)} rollouts for the update after {logged.last}; others replace them")
     return record
+
+
+def chain_of(run_dir: Path) -> str:
+    """Digest of a log that nothing else is read of; that of an empty one where there is none."""
+    chain = ChainCheck()
+    if list_segments(run_dir / LOG_DIRECTORY):
+        for _ in LogReader(run_dir).messages(chain=chain):
+            pass
+    return chain.digest
 
 
 def repair_log(run_dir: Path, lock: LogLock | None = None) -> list[str]:

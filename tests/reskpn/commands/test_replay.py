@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_runs import UPDATES, Recording, made_up, trainer_settings, write_log
+from recorded_runs import UPDATES, Recording, batch, made_up, trainer_settings, write_log
 
 import common.runtime
 import services.learner.training.trainer
 import services.replay.service
 from common.config.settings import RunSettings
 from common.errors import NumericsError
+from common.log.chain import Chain
+from common.log.reader import LogReader
 from common.wire.rollout import Rollout
 from reskpn.cli import main
+from services.learner.reporting.statistics import Episodes
 from services.learner.training.checkpoints import list_checkpoints, read_checkpoint
 
 UPDATE_3 = {"value": 0.3, "digest": "state-3"}
@@ -56,7 +60,12 @@ def learner(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return made_up()
+    """With the episodes that ended in update 2, as a learner logs them."""
+    made = made_up()
+    place, _ = made.of("/update")[1]
+    record = Episodes.of(batch(2)).record(2)
+    assert record is not None
+    return Recording([*made.messages[:place], ("/episode", record), *made.messages[place:]], made.start)
 
 
 @pytest.fixture
@@ -91,6 +100,56 @@ def test_verify_says_that_all_agree(said: Said, run_dir: Path) -> None:
     assert "versions, hardware and commit are those of the run\n" in out
     assert " s where the run took 3.0 s: " in out
     assert "FALLBACK" not in out
+
+
+def test_verify_says_that_the_chain_holds(said: Said, recording: Recording, tmp_path: Path) -> None:
+    """Of a log that has one; of an older log, that it has none."""
+    code, out, _ = said(write_log(tmp_path / "a", recording.messages, links=Chain()), "--verify")
+    assert code == 0
+    assert "the chain holds: 5 records name what was written before them, and the log was closed\n" in out
+    code, out, _ = said(write_log(tmp_path / "b", recording.messages), "--verify")
+    assert code == 0
+    assert "this log has no chain, as those of earlier releases" in out
+
+
+@pytest.mark.parametrize("topic", ["/event", "/rollout"])
+def test_verify_finds_what_no_figure_shows(said: Said, recording: Recording, tmp_path: Path, topic: str) -> None:
+    """An event that was removed, or a rollout whose time of sending was changed: exit code 1 and a finding."""
+    reader = LogReader(write_log(tmp_path / "a", recording.messages, links=Chain()))
+    messages = [(message.topic, message.data) for message in reader.messages()]
+    place = next(place for place, (name, _) in enumerate(messages) if name == topic)
+    changed = [] if topic == "/event" else [(topic, replace(Rollout.decode(messages[place][1]), t_ns=7).encode())]
+    messages[place : place + 1] = changed
+    code, out, _ = said(write_log(tmp_path / "b", messages, **reader.metadata()), "--verify")
+    assert code == 1
+    assert "all 4 updates agree, bit for bit\n" in out
+    assert "RECORDS DIFFER: /update 1 was written after other records than those before it" in out
+
+
+def test_metadata_that_was_changed_is_no_excuse(said: Said, recording: Recording, tmp_path: Path) -> None:
+    """Another processor would let other bits pass; in a chained log the change itself is found."""
+    reader = LogReader(write_log(tmp_path / "a", recording.messages, links=Chain()))
+    messages = [(message.topic, message.data) for message in reader.messages()]
+    changed = reader.metadata() | {"hardware": {**reader.metadata()["hardware"], "cpu": "another"}}
+    UPDATE_3.update(value=0.30001, digest="other")
+    code, out, _ = said(write_log(tmp_path / "b", messages, **changed), "--verify")
+    assert code == 1
+    assert "FALLBACK" in out
+    assert "metadata included" in out
+
+
+def test_metrics_of_an_equal_state_are_compared(
+    said: Said, recording: Recording, run_dir: Path, tmp_path: Path
+) -> None:
+    """Doubled ones are found, unless the log says that another commit computed them."""
+    UPDATE_3.update(value=0.6)
+    code, out, _ = said(run_dir, "--verify")
+    assert code == 1
+    assert "its state is the recorded one, and its metrics are not those that follow from it" in out
+    other = {"run": "run-1", "commit": "other"}
+    code, out, _ = said(write_log(tmp_path / "b", recording.messages, run=other), "--verify")
+    assert code == 0
+    assert "metrics differ from update 3 on, while all states are as recorded" in out
 
 
 def test_verify_shows_the_first_divergence(said: Said, run_dir: Path) -> None:
