@@ -108,6 +108,7 @@ _UPDATE = _object(
         mean=_number("mean over the rollouts used"),
         max=_number("greatest over the rollouts used"),
     ),
+    diverged=_integer("simulations that diverged in the rollouts used; each ended an episode"),
     progress=_numbers("figures shown with the update: return, step_reward and steps_per_s; null where not known"),
 )
 

@@ -108,6 +108,8 @@ class Progress(_Part):
     step_reward: Known = None
     """Mean reward of a step of the newest batch."""
     staleness: Number
+    diverged: int = 0
+    """Simulations that diverged since the learner started; each ended an episode."""
     centres: int | None = None
     capacity: int = 0
     """Centres that the representation holds at most; 0 where the learner has none."""

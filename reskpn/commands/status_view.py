@@ -48,6 +48,7 @@ def head(report: RunReport) -> list[str]:
         f"reward {number(progress.step_reward, 2)}",
         f"actors {len(report.actors)}/{report.slots}",
     ]
+    parts += [f"diverged {progress.diverged:,}"] if progress.diverged else []
     old = f" (reported {duration(progress.age_s)} ago)" if progress.age_s > 5.0 else ""
     return [
         f"{name}, up {duration(report.up_s)}",
@@ -60,7 +61,7 @@ def _waits(report: RunReport) -> str:
     """The learner's own text takes precedence where it does not wait for rollouts."""
     text = report.progress.text if report.progress is not None else ""
     if report.progress is not None and report.progress.phase in ("compiling", "evaluating"):
-        return printable(f"waiting for {text}", 4096)
+        return printable(text, 4096)
     return printable(report.waiting_for, 4096) or "all rollouts have arrived: the learner is computing"
 
 

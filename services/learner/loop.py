@@ -126,7 +126,7 @@ class TrainingLoop:
             evaluation = self._hub.evaluation(TICK_S)
             if evaluation is not None:
                 return evaluation
-            self._tick("evaluating", f"{episodes} episodes with the deterministic policy")
+            self._tick("evaluating", f"waiting for {episodes} episodes with the deterministic policy")
         return None
 
     def dismiss(self) -> None:

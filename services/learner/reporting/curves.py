@@ -30,6 +30,8 @@ _ALSO_IN_CHARTS = {
 def points_of_update(record: Mapping[str, Any]) -> dict[str, float | None]:
     """The points of an `/update` message."""
     points = dict(record["metrics"])
+    if "diverged" in record:
+        points["run/diverged"] = record["diverged"]
     for group, figures in (("seconds", "seconds"), ("staleness", "staleness"), ("run", "progress")):
         points |= {f"{group}/{name}": value for name, value in record.get(figures, {}).items()}
     return _with_charts(points)

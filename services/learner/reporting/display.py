@@ -20,7 +20,7 @@ BAR_WIDTH = 36
 BESIDE_BAR = 30
 """Characters of phase, share done and time left, with the spaces between them."""
 
-LEAST_NEEDED = ("staleness", "centres", "actors", "reward", "steps", "steps/s", "return")
+LEAST_NEEDED = ("staleness", "centres", "diverged", "actors", "reward", "steps", "steps/s", "return")
 """Numbers that a narrow terminal does without, in this order."""
 
 
@@ -117,6 +117,8 @@ def _numbers(progress: Progress) -> dict[str, str]:
         "staleness": f"{progress.staleness:g}",
         "actors": f"{progress.actors}/{progress.slots}",
     }
+    if progress.diverged:
+        numbers["diverged"] = f"{progress.diverged:,}"
     if progress.capacity:
         numbers["centres"] = "-" if progress.centres is None else f"{progress.centres}/{progress.capacity}"
     return numbers

@@ -24,6 +24,7 @@ class UpdateRecorder:
         self._settings = settings
         self._outlets = outlets
         self._centres = 0
+        self._simulations_diverged = 0
         self._staleness = 0.0
         self._step_reward: float | None = None
 
@@ -31,6 +32,7 @@ class UpdateRecorder:
         """Take in the figures of an update."""
         self.returns.add(update.version, Episodes.of(update.rollouts))
         self._step_reward = step_reward(update.rollouts)
+        self._simulations_diverged += update.diverged
         self._centres = round(update.metrics.get("rkhs/centres", 0))
         self._staleness = update.staleness["mean"]
 
@@ -62,6 +64,7 @@ class UpdateRecorder:
             train_return=self.returns.newest,
             step_reward=self._step_reward,
             staleness=self._staleness,
+            diverged=self._simulations_diverged,
             centres=self._centres,
             capacity=self._settings.capacity,
             actors=actors,

@@ -34,6 +34,11 @@ class AppliedUpdate:
         return {"min": min(behind), "mean": sum(behind) / len(behind), "max": max(behind)}
 
     @property
+    def diverged(self) -> int:
+        """Simulations that diverged in the rollouts."""
+        return sum(rollout.diverged for rollout in self.rollouts)
+
+    @property
     def seconds(self) -> dict[str, float]:
         """Seconds by phase: the learner's, and as `actor/...` the slowest actor's."""
         actors = actor_seconds(self.rollouts)
@@ -61,5 +66,6 @@ class AppliedUpdate:
             "metrics": dict(self.metrics),
             "seconds": self.seconds,
             "staleness": self.staleness,
+            "diverged": self.diverged,
             "progress": dict(progress),
         }

@@ -34,19 +34,27 @@ def test_a_learner_that_is_at_work() -> None:
     assert lines[2] == "all rollouts have arrived: the learner is computing"
 
 
+def test_diverged_simulations() -> None:
+    """Counted where there are any."""
+    assert "diverged" not in head(report())[1]
+    assert head(report(progress=progress(diverged=12)))[1].endswith("actors 2/2 | diverged 12")
+
+
 def test_a_learner_that_has_just_begun() -> None:
     """Before its loop has told anything."""
     lines = head(report(progress=None, waiting_for="waiting for 2 of 2 rollouts: slot 0 has no actor yet"))
     assert lines[1] == "starting; waiting for 2 of 2 rollouts: slot 0 has no actor yet"
 
 
-@pytest.mark.parametrize(("phase", "text"), [("compiling", "the update 4 s"), ("evaluating", "64 episodes")])
+@pytest.mark.parametrize(
+    ("phase", "text"), [("compiling", "compiling the update for 4 s"), ("evaluating", "waiting for 64 episodes")]
+)
 def test_other_things_than_rollouts_are_waited_for(phase: str, text: str) -> None:
     """In the learner's words; figures that there are not are dashes."""
     unknown = {"steps_per_s": None, "train_return": None, "step_reward": None}
     lines = head(report(progress=progress(phase=phase, text=text, **unknown)))
     assert "steps/s - | return - | reward - |" in lines[1]
-    assert lines[2] == f"waiting for {text}"
+    assert lines[2] == text
 
 
 def test_an_actor_in_a_row() -> None:

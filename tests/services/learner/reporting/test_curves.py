@@ -42,6 +42,7 @@ def test_the_points_of_an_update() -> None:
         "staleness/min": 0,
         "staleness/mean": 0.0,
         "staleness/max": 0,
+        "run/diverged": 0,
         "run/return": 8.0,
         "run/step_reward": 0.5,
         "run/steps_per_s": 60.0,

@@ -74,6 +74,13 @@ def test_what_is_not_known_is_a_dash() -> None:
     )
 
 
+def test_diverged_simulations_are_shown_where_there_are_any() -> None:
+    """They hint at a policy or a task that is out of hand; most runs have none."""
+    shown, out = plain()
+    shown.show(STATUS.model_copy(update={"diverged": 1_234}))
+    assert "| diverged 1,234 |" in out.getvalue()
+
+
 def test_plain_lines_come_with_the_phase_and_every_few_seconds(clock: SimpleNamespace) -> None:
     """Not with every update: a log file stays short."""
     shown, out = plain()
