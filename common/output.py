@@ -50,7 +50,7 @@ class Output(io.TextIOBase):
             self._stream.write(text)
             self._stream.flush()
         except (OSError, ValueError):  # ValueError: the stream object itself was closed
-            _forget(self._stream)
+            forget(self._stream)
             self._stream = None
 
 
@@ -76,10 +76,10 @@ def say(text: str, stream: TextIO | None = None) -> None:
     try:
         print(text, file=stream, flush=True)
     except (OSError, ValueError):
-        _forget(stream or sys.stdout)
+        forget(stream or sys.stdout)
 
 
-def _forget(stream: TextIO) -> None:
+def forget(stream: TextIO) -> None:
     """Lead the stream's descriptor nowhere: the interpreter writes what the stream still holds when it ends."""
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -178,7 +178,11 @@ def _secret(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _refuse_existing(folder: Path) -> None:
-    if folder.exists():
+    try:
+        exists = folder.exists()
+    except OSError as error:
+        raise _cannot_write(folder, error) from None
+    if exists:
         raise SettingsError(f"{folder} exists and is not overwritten: give another --out, or move it away")
 
 
@@ -192,4 +196,8 @@ def _write(folder: Path, files: dict[str, bytes]) -> None:
             with os.fdopen(descriptor, "wb") as file:
                 file.write(data)
     except OSError as error:
-        raise SettingsError(f"{folder} cannot be written ({error.strerror}); give another --out") from None
+        raise _cannot_write(folder, error) from None
+
+
+def _cannot_write(folder: Path, error: OSError) -> SettingsError:
+    return SettingsError(f"{folder} cannot be written ({error.strerror}); give another --out")

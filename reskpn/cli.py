@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from common.errors import ReskpnError
-from common.output import say
+from common.output import forget, say
 from reskpn.commands.command import Command, refuse_unknown_options
 
 COMMANDS = {
@@ -31,16 +31,22 @@ COMMANDS = {
 """What `--help` says of each command. The rest is in the command's module, which takes longer to load."""
 
 
+BROKEN_PIPE = 141
+"""Exit code of a command whose output was closed before its end, as a shell reports SIGPIPE."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code. This package's errors are printed as a sentence, without a traceback."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     chosen = next((word for word in words if not word.startswith("-")), "")
     parser = argparse.ArgumentParser(
         prog="reskpn",
-        description="Residual Kernel Policy Network: kernel-policy reinforcement learning as a service.",
+        description="Kernel-policy reinforcement learning as a service, after the paper 'Residual Kernel Policy "
+        "Network: Enhancing Stability and Robustness in RKHS-Based Reinforcement Learning'.",
         epilog="`reskpn COMMAND --help` explains a command and its options.",
         allow_abbrev=False,
     )
+    parser.add_argument("--version", action=_Version, help="show the version and exit")
     commands = parser.add_subparsers(dest="command", required=True, metavar=f"{{{','.join(COMMANDS)}}}")
     for name, summary in COMMANDS.items():
         if name == chosen:
@@ -55,7 +61,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ReskpnError as error:
         say(f"reskpn {given.command}: {error}", sys.stderr)
         return error.exit_code
+    except BrokenPipeError:
+        # `reskpn runs | head -1`: nobody reads what a command still prints, which is no fault of it.
+        forget(sys.stdout)
+        return BROKEN_PIPE
     return code
+
+
+class _Version(argparse.Action):
+    """Prints the version of the package, which is looked up only then."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None) -> None:
+        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            found = version(parser.prog)
+        except PackageNotFoundError:
+            found = "of a source tree that is not installed"
+        print(f"{parser.prog} {found}")
+        parser.exit()
 
 
 def load_command(name: str) -> Command:

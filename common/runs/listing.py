@@ -40,11 +40,11 @@ class ListedRun:
 
 
 def list_runs(folder: Path) -> list[ListedRun]:
-    """The runs in a folder, the newest first."""
+    """The runs in a folder, the newest first; none where there is no such folder. OSError where it cannot be read."""
     locked = _locked_inodes()
     try:
         paths = [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]
-    except OSError:
+    except FileNotFoundError:
         return []
     found = [listed for path in paths if (listed := _listed(path, locked)) is not None]
     return sorted(found, key=lambda listed: (listed.modified_s, listed.path.name), reverse=True)
@@ -56,8 +56,11 @@ def describe_run(path: Path) -> ListedRun | None:
 
 
 def newest_run(folder: Path) -> Path | None:
-    """The directory of the newest run in a folder, also of one that is just starting; None if there is none."""
-    runs = list_runs(folder)
+    """The directory of the newest run in a folder, also of one that is just starting; None if none can be seen."""
+    try:
+        runs = list_runs(folder)
+    except OSError:
+        return None
     return runs[0].path if runs else None
 
 

@@ -48,9 +48,11 @@ def extract(run: RecordedRun, folder: Path, on_update: Callable[[RecordedUpdate]
         LogReadError: the log is damaged.
         SettingsError: a file is there already, or cannot be written.
     """
-    if taken := [name for name in FILES if (folder / name).exists()]:
-        raise SettingsError(f"{folder} already holds {', '.join(taken)}; choose another directory, or move them away")
     try:
+        if taken := [name for name in FILES if (folder / name).exists()]:
+            raise SettingsError(
+                f"{folder} already holds {', '.join(taken)}; choose another directory, or move them away"
+            )
         folder.mkdir(parents=True, exist_ok=True)
         return _extract(run, folder, on_update)
     except OSError as error:

@@ -59,7 +59,12 @@ def run(given: argparse.Namespace) -> int:
     """List the runs, or delete one. Returns 0."""
     if given.delete is not None:
         return delete_run(_directory(given.folder, given.delete), ask=not given.yes)
-    runs = list_runs(given.folder)
+    try:
+        runs = list_runs(given.folder)
+    except OSError as error:
+        raise SettingsError(
+            f"--folder {given.folder} cannot be read ({error.strerror}); give a folder of runs"
+        ) from None
     if given.best:
         runs = best_runs(runs)
     if given.json:
@@ -90,7 +95,10 @@ def delete_run(run_dir: Path, *, ask: bool) -> int:
     Raises:
         SettingsError: it is not the directory of a run, the run is running, or the files cannot be removed.
     """
-    listed = None if run_dir.is_symlink() else describe_run(run_dir)
+    try:
+        listed = None if run_dir.is_symlink() else describe_run(run_dir)
+    except OSError as error:
+        raise SettingsError(f"--delete {run_dir} cannot be read ({error.strerror}); give the name of a run") from None
     if listed is None:
         raise SettingsError(f"--delete {run_dir}: this is not the directory of a run; `reskpn runs` lists them")
     if listed.state == "running":
@@ -125,7 +133,10 @@ def row(listed: ListedRun) -> list[str]:
 def _directory(folder: Path, name: str) -> Path:
     """The run of that name in the folder, or else the directory itself."""
     inside = folder / name
-    return inside if "/" not in name and inside.is_dir() else Path(name)
+    try:
+        return inside if "/" not in name and inside.is_dir() else Path(name)
+    except OSError:  # a name that is too long, or a folder that cannot be read: the caller says so
+        return Path(name)
 
 
 def _confirmed(listed: ListedRun) -> bool:

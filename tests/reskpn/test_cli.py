@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +138,44 @@ def test_help_of_an_actor(capsys: pytest.CaptureFixture[str]) -> None:
     assert "RESKPN_TRANSPORT__ENDPOINT" in out
     assert "--algorithm" not in out
     assert "--supervised" not in out
+
+
+def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of the installed package; no command is needed."""
+    code, out, _ = left(capsys, "--version")
+    assert (code, out) == (0, f"reskpn {metadata.version('reskpn')}\n")
+
+
+def test_the_paper_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    """By its title."""
+    _, out, _ = left(capsys, "--help")
+    assert "Enhancing Stability and Robustness in RKHS-Based Reinforcement Learning" in " ".join(out.split())
+
+
+def test_help_loads_no_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table of commands is all that it needs: what commands work with is loaded by the one that runs."""
+    code = (
+        "import sys, contextlib\n"
+        "from reskpn.cli import main\n"
+        "with contextlib.suppress(SystemExit): main(['--help'])\n"
+        "heavy = {'jax', 'pydantic', 'pydantic_settings', 'zenoh', 'mujoco', 'rich', 'numpy', 'msgpack', 'yaml'}\n"
+        "print(heavy & set(sys.modules), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stderr == "set()\n"
+
+
+def test_output_that_is_closed_early(tmp_path: Path) -> None:
+    """Ends a command that only prints, as it ends other programs: no traceback, and the exit code of SIGPIPE."""
+    for number in range(3000):
+        (tmp_path / "runs" / f"run-{number:04d}").mkdir(parents=True)
+    reader, writer = os.pipe()
+    command = [sys.executable, "-m", "reskpn", "runs", "--folder", str(tmp_path / "runs"), "--json"]
+    process = subprocess.Popen(command, stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    os.close(reader)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (141, "")
 
 
 # -- what argparse says ------------------------------------------------------------------------------------

@@ -124,3 +124,5 @@ def test_nothing_is_overwritten(recording: Recording, tmp_path: Path) -> None:
     assert [name for name in FILES if (tmp_path / name).exists()] == [METRICS]
     with pytest.raises(SettingsError, match=r"metrics.parquet/x cannot be written \(Not a directory\)"):
         extract(run, tmp_path / METRICS / "x", lambda _: None)
+    with pytest.raises(SettingsError, match=r"cannot be written \(File name too long\)"):
+        extract(run, tmp_path / ("x" * 300), lambda _: None)

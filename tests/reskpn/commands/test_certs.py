@@ -96,3 +96,23 @@ def test_an_authority_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFi
     """One more needs the first."""
     assert main(["certs", "--out", str(tmp_path), "--add", "actor-7"]) == 2
     assert "give the folder that `reskpn certs --out` made" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "x" * 5000])
+def test_a_directory_whose_name_is_too_long(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    """A sentence, no traceback."""
+    assert main(["certs", "--out", str(tmp_path / name), "--hosts", "a"]) == 2
+    assert "cannot be written (File name too long); give another --out" in capsys.readouterr().err
+
+
+def test_a_directory_that_may_not_be_looked_into(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of another user; whether something is there cannot even be asked."""
+
+    def exists(path: Path) -> bool:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "exists", exists)
+    assert main(["certs", "--out", str(tmp_path / "c"), "--hosts", "a"]) == 2
+    assert "cannot be written (Permission denied); give another --out" in capsys.readouterr().err

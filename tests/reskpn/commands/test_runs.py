@@ -111,3 +111,12 @@ def test_files_that_cannot_be_removed(folder: Path, capsys: Captured, monkeypatc
     monkeypatch.setattr("shutil.rmtree", rmtree)
     assert main(["runs", "--delete", "a", "--yes"]) == 2
     assert "log cannot be removed (Permission denied)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["--folder", "x" * 300], ["--delete", "x" * 300], ["--delete", "a/" + "x" * 5000]])
+def test_names_that_are_too_long(folder: Path, capsys: Captured, words: list[str]) -> None:
+    """One sentence, no traceback."""
+    assert main(["runs", *words]) == 2
+    err = capsys.readouterr().err
+    assert "cannot be read (File name too long)" in err
+    assert len(err.splitlines()) == 1
