@@ -17,7 +17,7 @@ Target = Literal["A", "Q"]
 class Learner:
     """What a learner is made of.
 
-    features: h and the residual layer see learned features psi(o); without them h sees o as it is.
+    features: h and the residual layer see learned features psi(o); without them h sees the whitened observation.
     rkhs: the policy mean has the RKHS part h (paper, equation 5).
     residual: fully connected layers beside h; "two heads" are summed (section D.3).
     target: what weighs the functional gradient: the lambda-return A + V (equation 6) or the normalised advantage

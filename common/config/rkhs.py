@@ -77,6 +77,8 @@ class RkhsSettings(Section):
     """part of h that is given up at each step: regularisation in the RKHS"""
     clip: Positive = 1.0
     """clip of the ratio in the functional gradient"""
+    drift: Literal["paper", "derivative", "none"] = "paper"
+    """drift in the functional gradient: paper (A - D), derivative (of r A - D, as the networks have it), none"""
     drift_alpha: Positive = 1.0
     """drift of the functional gradient for positive advantages"""
     drift_beta: Positive = 0.6

@@ -24,10 +24,9 @@ from common.maths.networks import Networks, Parameters
 from common.maths.policy import Mean
 from common.maths.rkhs.representation import Function, Representation
 from common.maths.samples import Pairs, Samples, evenly_spread_rows, probe_stride
+from common.maths.trust_region import TrustRegion
 
 Metrics = dict[str, Array]
-
-_LEAST_KL = 1e-20  # keeps a step without direction from being divided by zero
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ class FunctionalStep:
             mean, alpha = self.from_pairs(mean_at, pairs, key)
         else:
             mean, alpha = self._from_batch(mean_at, batch, key)
-        function, state = representation.average(
+        averaged, averaged_state = representation.average(
             function,
             state,
             mean.features,
@@ -73,14 +72,20 @@ class FunctionalStep:
             lambda wanted: mean_at(batch.obs[evenly_spread_rows(count, wanted)]).features,
             decay=settings.momentum,
         )
-        scale = self._scale(function, state, mean_at, batch, mean.log_std)
         metrics = {"rkhs/alpha": jnp.sqrt(jnp.sum(jnp.square(alpha)))}
+        scale: float | Array = 1.0
+        shrinkage = settings.shrinkage
+        if settings.step == "trust-region":
+            if shrinkage:  # taken now, so that the trust region counts it
+                averaged, shrinkage = representation.apply(averaged, averaged_state, 0.0, shrinkage=shrinkage), 0.0
+            region = self._trust_region(mean_at(batch.obs[:: probe_stride(count)]), mean)
+            averaged, averaged_state, scale = region.hold((function, state), (averaged, averaged_state))
         if settings.agreement:
             # KL grows with the square of the step, so the target times cos^2 is the step times cos.
-            metrics["rkhs/agreement"] = squared_cosine(representation.activations(function, mean.features), alpha)
+            metrics["rkhs/agreement"] = squared_cosine(representation.activations(averaged, mean.features), alpha)
             scale *= jnp.sqrt(metrics["rkhs/agreement"])
         metrics["rkhs/scale"] = jnp.asarray(scale)
-        return representation.apply(function, state, scale, shrinkage=settings.shrinkage), state, metrics
+        return representation.apply(averaged, averaged_state, scale, shrinkage=shrinkage), averaged_state, metrics
 
     def _from_batch(
         self, mean_at: Callable[[Array], Mean], batch: Samples, key: Key[Array, ""]
@@ -101,13 +106,24 @@ class FunctionalStep:
         and Sigma^-1 (a - m) (G(a) - G(a')) / 2 is left. Whatever of G is the same at both cancels, so that no baseline
         is needed: for the Q of Lemma 3.1 the variance drops from 2 c^2 + Sigma^-1 (c h + d)^2 to 2 c^2.
         """
+        weighed = self.weigh_pairs(pairs)
+        pairs, gains, advantages = self._draw(weighed, pairs.taken.log_prob.shape[0], key)
+        mean = mean_at(pairs.taken.obs)
+        return mean, self.pair_coefficients(mean, pairs, gains, advantages)
+
+    def weigh_pairs(self, pairs: Pairs) -> tuple[Pairs, tuple[Array, Array], tuple[Array, Array]]:
+        """The pairs, G of their two actions, and the advantages of these normalised over all 2 M."""
         both = objectives.normalised(jnp.stack([pairs.taken.advantage, pairs.mirrored.advantage]))
         gains = (pairs.taken.target, pairs.mirrored.target) if self.target == "Q" else (both[0], both[1])
-        pairs, gains, advantages = self._draw((pairs, gains, (both[0], both[1])), both.shape[1], key)
-        mean = mean_at(pairs.taken.obs)
+        return pairs, gains, (both[0], both[1])
+
+    def pair_coefficients(
+        self, mean: Mean, pairs: Pairs, gains: tuple[Array, Array], advantages: tuple[Array, Array]
+    ) -> Float[Array, "n A"]:
+        """The mean of the coefficients of a pair's two actions."""
         taken = self.coefficients(mean, pairs.taken, gains[0], advantages[0])
         mirrored = self.coefficients(mean, pairs.mirrored, gains[1], advantages[1])
-        return mean, 0.5 * (taken + mirrored)
+        return 0.5 * (taken + mirrored)
 
     def _draw(self, rows_of: Any, count: int, key: Key[Array, ""]) -> Any:
         """n of the `count` rows of every array, without replacement; all, in their order, where n is their number."""
@@ -123,7 +139,7 @@ class FunctionalStep:
     def coefficients(
         self, mean: Mean, drawn: Samples, gain: Float[Array, "n"], advantage: Float[Array, "n"]
     ) -> Float[Array, "n A"]:
-        """alpha_k = eta/n rho_k Sigma^-1 (a_k - m(o_k)) (G_k - D_k), rho = min(r, clip(r)).
+        """alpha_k = eta/n rho_k Sigma^-1 (a_k - m(o_k)) (G_k - D_k), rho = min(r, clip(r)), D as `rkhs.drift` says.
 
         D is DPO's drift of the normalised advantage, whatever G is. A step size that is found by a rule makes eta 1.
         """
@@ -131,26 +147,30 @@ class FunctionalStep:
         log_ratio = gaussians.log_prob(mean.total, mean.log_std, drawn.action) - drawn.log_prob
         ratio = jnp.exp(log_ratio)
         held = jnp.minimum(ratio, jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip))
-        gain = gain - objectives.drift(log_ratio, advantage, alpha=settings.drift_alpha, beta=settings.drift_beta)
+        drift = {"alpha": settings.drift_alpha, "beta": settings.drift_beta}
+        if settings.drift == "paper":
+            weight = held * (gain - objectives.drift(log_ratio, advantage, **drift))
+        elif settings.drift == "derivative":
+            # rho / r, which is 1 within the clip, without a quotient of numbers that may both be 0.
+            share = jnp.exp(jnp.minimum(jnp.log1p(settings.clip) - log_ratio, 0.0))
+            weight = held * gain - share * objectives.drift_slope(log_ratio, advantage, **drift)
+        else:
+            weight = held * gain
         score = gaussians.score(mean.total, mean.log_std, drawn.action)
         eta = settings.eta if settings.step == "fixed" else 1.0
-        return (eta / self.samples) * (held * gain)[:, None] * score
+        return (eta / self.samples) * weight[:, None] * score
 
-    def _scale(
-        self,
-        function: Function,
-        state: RepresentationState,
-        mean_at: Callable[[Array], Mean],
-        batch: Samples,
-        log_std: Float[Array, "A"],
-    ) -> float | Float[Array, ""]:
-        """How far to go along v: 1, or what makes the mean KL of the step its target.
+    def _trust_region(self, spread: Mean, drawn: Mean) -> TrustRegion:
+        """The bound of this step. The drawn transitions are probes, too: the gradient may vanish everywhere else.
 
-        Only the mean moves, and it is linear in the step: KL(s v) = s^2 KL(v), so the size has a closed form.
+        Args:
+            spread, drawn: the mean at transitions spread over the batch, and at those the gradient is made of.
         """
-        if self.settings.step == "fixed":
-            return 1.0
-        features = mean_at(batch.obs[:: probe_stride(batch.log_prob.shape[0])]).features
-        v = self.representation.velocity(function, state, features)
-        kl = jnp.mean(gaussians.kl_of_means(v, jnp.zeros_like(v), log_std))
-        return jnp.sqrt(self.settings.kl_target / jnp.maximum(kl, _LEAST_KL))
+        rows = slice(None, None, probe_stride(drawn.features.shape[0]))
+        return TrustRegion(
+            self.representation,
+            self.settings.kl_target,
+            jnp.concatenate([spread.features, drawn.features[rows]]),
+            jnp.concatenate([spread.rkhs, drawn.rkhs[rows]]),
+            spread.log_std,
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
@@ -26,6 +27,16 @@ def drift(
     positive = gain - alpha * jnp.tanh(gain / alpha)
     negative = loss - beta * jnp.tanh(loss / beta)
     return jnp.maximum(jnp.where(advantage >= 0.0, positive, negative), 0.0)
+
+
+def drift_slope(
+    log_ratio: Float[Array, "*batch"], advantage: Float[Array, "*batch"], *, alpha: float, beta: float
+) -> Float[Array, "*batch"]:
+    """The derivative of `drift` with respect to log r: A r tanh^2((r - 1) A / alpha) or A tanh^2(log r A / beta).
+
+    It has the sign of A where r has moved the way A pushes it, and is zero elsewhere.
+    """
+    return jax.grad(lambda at: jnp.sum(drift(at, advantage, alpha=alpha, beta=beta)))(log_ratio)
 
 
 def drifted(

@@ -68,8 +68,8 @@ class Update:
         parameters, optimiser, losses = self._train_networks(state, samples, flatten(network_value), shuffle_key)
         critic, critic_metrics = self.critic.refit(state.critic, parameters, by_step.obs, by_step.target)
         expansion, representation_state, rkhs_metrics = state.expansion, state.representation_state, Metrics()
+        pairs = self._pairs(state, whitened, by_step, return_moments)
         if expansion.capacity:
-            pairs = self._pairs(state, whitened, by_step, return_moments)
             expansion, representation_state, rkhs_metrics = self.step(
                 expansion, representation_state, parameters["policy"], samples, pairs, draw_key
             )
@@ -88,7 +88,8 @@ class Update:
             version=state.version + 1,
             critic=critic,
         )
-        metrics = losses | rkhs_metrics | critic_metrics | self.diagnostics(state, new, samples) | finiteness(new)
+        measured = self.diagnostics(state, new, samples, pairs) | finiteness(new, losses)
+        metrics = losses | rkhs_metrics | critic_metrics | measured
         return new, {name: jnp.asarray(value, jnp.float32) for name, value in metrics.items()}
 
     def _scaled_rewards(self, state: LearnerState, batch: Batch) -> tuple[running.Moments, Array, Array]:
@@ -214,6 +215,7 @@ class Update:
                 parameters, state.expansion, samples[rows], network_value[rows]
             )
             updates, optimiser = self.optimiser.update(gradient, optimiser, parameters)
+            # Beyond 1.8e19 the square of the norm overflows, and clipping by an infinite norm makes the step zero.
             metrics["gradient_norm"] = optax.tree.norm(gradient)
             parameters = within_bound(optax.apply_updates(parameters, updates), self.algorithm.max_log_std)
             return (parameters, optimiser), metrics

@@ -1,4 +1,4 @@
-"""The variance laboratory: how noisy functional gradients are (paper, sections 3.1 and 3.3, appendices A to C)."""
+"""How noisy functional gradients are (paper, sections 3.1 and 3.3, appendices A to C)."""
 
 from __future__ import annotations
 
@@ -19,10 +19,20 @@ def gradient_variance(
     Expanded by the reproducing property: mean_t |alpha_t|^2 K(z_t, z_t) - mean_ij (alpha_i alpha_j) K(z_i, z_j). One
     Gram matrix of G transitions.
     """
-    count = features.shape[0]
-    own = jnp.mean(jnp.sum(jnp.square(coefficients), axis=1) * diagonal(kernel, features))
-    shared = jnp.sum(coefficients * (gram(kernel, features, features) @ coefficients)) / count**2
-    return jnp.maximum(own - shared, 0.0)  # rounding can pass 0 where all gradients are the same
+    return _variance(gram(kernel, features, features), diagonal(kernel, features), coefficients)
+
+
+def represented_variance(matrix: Float[Array, "G G"], coefficients: Float[Array, "G A"]) -> Float[Array, ""]:
+    """Equation 10 for gradients alpha_t g_t, of functions g_t with this Gram matrix in place of K(z_t, .)."""
+    return _variance(matrix, jnp.diagonal(matrix), coefficients)
+
+
+def _variance(
+    matrix: Float[Array, "G G"], own: Float[Array, "G"], coefficients: Float[Array, "G A"]
+) -> Float[Array, ""]:
+    each = jnp.mean(jnp.sum(jnp.square(coefficients), axis=1) * own)
+    shared = jnp.sum(coefficients * (matrix @ coefficients)) / coefficients.shape[0] ** 2
+    return jnp.maximum(each - shared, 0.0)  # rounding can pass 0 where all gradients are the same
 
 
 def linear_ratio(kernel: Kernel, features: Float[Array, "G d"], coefficients: Float[Array, "G A"]) -> Float[Array, ""]:

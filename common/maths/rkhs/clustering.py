@@ -11,7 +11,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from common.maths.expansion import Expansion, RepresentationState
-from common.maths.gram import squared_distances
+from common.maths.gram import gram, squared_distances
 from common.maths.rkhs.representation import OfKernels, SampleFeatures
 
 
@@ -105,6 +105,15 @@ class Cluster(OfKernels[ClusterState]):
             nearest = jnp.argmin(squared_distances(features, features[jnp.minimum(leaders, count - 1)]), axis=1)
             owner = jnp.where(owner < 0, nearest.astype(jnp.int32), owner)
         return leaders, owner
+
+    def gradient_gram(
+        self, function: Expansion, state: ClusterState, features: Float[Array, "G d"], samples: int
+    ) -> Float[Array, "G G"]:
+        used = jnp.arange(function.capacity, dtype=jnp.int32) < state.added
+        distance = jnp.where(used[None, :], squared_distances(features, function.centres), jnp.inf)
+        joined = (jnp.min(distance, axis=1) < self.radius**2)[:, None]
+        stand_ins = jnp.where(joined, function.centres[jnp.argmin(distance, axis=1)], features)
+        return gram(self.kernel, stand_ins, stand_ins)
 
     def size(self, function: Expansion, state: ClusterState) -> Int[Array, ""]:
         return jnp.minimum(state.added, function.capacity)

@@ -101,6 +101,14 @@ class KernelMatchingPursuit(OfKernels[PursuitState]):
             error=state.error,
         )
 
+    def gradient_gram(
+        self, function: Expansion, state: PursuitState, features: Float[Array, "G d"], samples: int
+    ) -> Float[Array, "G G"]:
+        if self.admitted(samples) == samples:
+            return gram(self.kernel, features, features)
+        across = jnp.where(state.used[None, :], gram(self.kernel, features, function.centres), 0.0)
+        return product(product(across, self._inverse(function.centres, state.used)), across.T)
+
     def size(self, function: Expansion, state: PursuitState) -> Int[Array, ""]:
         return jnp.sum(state.used, dtype=jnp.int32)
 

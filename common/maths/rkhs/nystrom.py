@@ -65,6 +65,21 @@ class Nystrom(OfKernels[NystromState]):
         velocity = decay * state.velocity + (1.0 - decay) * gradient
         return function, NystromState(velocity, state.added + 1, state.whitening, state.chosen)
 
+    def gradient_gram(
+        self, function: Expansion, state: NystromState, features: Float[Array, "G d"], samples: int
+    ) -> Float[Array, "G G"]:
+        phi = product(gram(self.kernel, features, function.centres), state.whitening)
+        return product(phi, phi.T)
+
+    def retreat(
+        self, old: tuple[Expansion, NystromState], averaged: tuple[Expansion, NystromState], part: Float[Array, ""]
+    ) -> tuple[Expansion, NystromState]:
+        """The landmarks of `old` stay until the next choice; v and the gradient in it are projected back onto them."""
+        (function, before), (new, after) = old, averaged
+        across = gram(self.kernel, function.centres, new.centres)
+        velocity = _solve(before.whitening, product(across, after.velocity))
+        return function, NystromState(velocity, after.added, before.whitening, before.chosen)
+
     def size(self, function: Expansion, state: NystromState) -> Int[Array, ""]:
         return jnp.where(state.added > 0, function.capacity, 0)
 

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from common.kernels import Kernel
 from common.maths.expansion import Expansion, RepresentationState
-from common.maths.gram import gram
+from common.maths.gram import gram, product
 
 
 @jax.tree_util.register_dataclass
@@ -112,6 +112,26 @@ class Representation(abc.ABC, Generic[FunctionT, StateT]):
         kept = function.weights if shrinkage == 0.0 else (1.0 - shrinkage) * function.weights
         return replace(function, weights=kept + scale * state.velocity)
 
+    @abc.abstractmethod
+    def gradient_gram(
+        self, function: FunctionT, state: StateT, features: Float[Array, "G d"], samples: int
+    ) -> Float[Array, "G G"]:
+        """<g_i, g_j> of the functions that this representation takes K(z_i, .) for, in gradients of `samples`."""
+
+    def retreat(
+        self, old: tuple[FunctionT, StateT], averaged: tuple[FunctionT, StateT], part: Float[Array, ""]
+    ) -> tuple[FunctionT, StateT]:
+        """h and v that keep the functions of `old`, where what `averaged` gives up of h moves it too far.
+
+        Only this part of it is given up. The gradient of the update is lost, its room is not there yet.
+        """
+        weights = old[0].weights + part * (self.surviving_weights(old[0], averaged[0]) - old[0].weights)
+        return replace(old[0], weights=weights), old[1]
+
+    def surviving_weights(self, old: FunctionT, averaged: FunctionT) -> Float[Array, "M A"]:
+        """The weights with which the functions of `old` are the h of `averaged`."""
+        return averaged.weights
+
     def norm(self, function: FunctionT) -> Float[Array, ""]:
         """|h| in the RKHS. Where the kernel is not positive semi-definite a negative square counts as 0."""
         square = jnp.sum(function.weights * self.inner(function, function.weights))
@@ -121,8 +141,18 @@ class Representation(abc.ABC, Generic[FunctionT, StateT]):
 class OfKernels(Representation[Expansion, StateT]):
     """The functions are K(c_i, .)."""
 
+    def surviving_weights(self, old: Expansion, averaged: Expansion) -> Float[Array, "M A"]:
+        # A centre that came new has weight 0 so far: what stood in its row is what was given up.
+        stayed = jnp.all(old.centres == averaged.centres, axis=1, keepdims=True)
+        return jnp.where(stayed, averaged.weights, 0.0)
+
     def activations(self, function: Expansion, features: Float[Array, "B d"]) -> Float[Array, "B M"]:
         return gram(self.kernel, features, function.centres)
+
+    def gradient_gram(
+        self, function: Expansion, state: StateT, features: Float[Array, "G d"], samples: int
+    ) -> Float[Array, "G G"]:
+        return gram(self.kernel, features, features)
 
     def inner(self, function: Expansion, weights: Float[Array, "M A"]) -> Float[Array, "M A"]:
         def of_centre(centre: Float[Array, "d"]) -> Float[Array, "A"]:
@@ -135,6 +165,12 @@ class OfKernels(Representation[Expansion, StateT]):
 
 class OfFeatures(Representation[Embedding, RepresentationState]):
     """The functions are finitely many orthonormal ones; K(x, y) is close to phi(x) @ phi(y)."""
+
+    def gradient_gram(
+        self, function: Embedding, state: RepresentationState, features: Float[Array, "G d"], samples: int
+    ) -> Float[Array, "G G"]:
+        phi = self.activations(function, features)
+        return product(phi, phi.T)
 
     def inner(self, function: Embedding, weights: Float[Array, "M A"]) -> Float[Array, "M A"]:
         return weights

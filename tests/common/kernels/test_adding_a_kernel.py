@@ -17,7 +17,7 @@ from common.maths.functional import FunctionalStep
 from common.maths.gram import gram
 from common.maths.networks import make_networks
 from common.maths.rkhs.make import make_representation
-from common.maths.samples import Samples
+from common.maths.samples import Pairs, Samples
 from common.maths.state import initial_state
 
 NAME = "inverse-multiquadric"
@@ -65,6 +65,7 @@ def test_metrics_hold_its_bandwidth_against_its_distance() -> None:
     rng = np.random.default_rng(0)
     numbers = [jnp.asarray(rng.standard_normal(shape), jnp.float32) for shape in ((8, 3), (8, 2), 8, 8, 8)]
     diagnostics = Diagnostics(FunctionalStep(networks, representation, settings.rkhs, "A", 1))
-    metrics = jax.jit(diagnostics)(state, state, Samples(*numbers))
+    batch = Samples(*numbers)
+    metrics = jax.jit(diagnostics)(state, state, batch, Pairs(batch[:0], batch[:0]))
     assert float(metrics["rkhs/median_distance"]) > 0
     assert float(metrics["rkhs/bandwidth_ratio"]) == pytest.approx(0.5 / float(metrics["rkhs/median_distance"]))

@@ -77,6 +77,24 @@ def test_no_drift_where_the_policy_did_not_move():
     np.testing.assert_allclose(slope, np.zeros(5), atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("ratio", "advantage", "expected"),
+    [
+        # A < 0, r = 0.5: x = log 0.5 * -2 = 1.386; slope A tanh^2(x / 0.6) = -2 * 0.9806^2 = -1.923.
+        (0.5, -2.0, -1.923),
+        # A > 0, r = 2: x = 1; slope r A tanh^2(1 / 2) = 2 * 0.4621^2 = 0.4271.
+        (2.0, 1.0, 0.4271),
+        # r has moved against A: nothing holds it.
+        (0.5, 2.0, 0.0),
+        (2.0, -2.0, 0.0),
+    ],
+)
+def test_slope_of_the_drift_by_hand(ratio, advantage, expected):
+    """The derivative by log r, alpha 2 and beta 0.6; of r A - D it leaves -1 + 1.923 = +0.92 in the first case."""
+    slope = objectives.drift_slope(jnp.log(one(ratio)), one(advantage), alpha=ALPHA, beta=BETA)
+    np.testing.assert_allclose(slope, expected, atol=1e-3)
+
+
 def test_drift_is_at_least_zero_everywhere():
     """The drift never rewards, and is what the equations say, over a grid of ratios and advantages."""
     log_ratio, advantage = (x.ravel() for x in np.meshgrid(np.linspace(-3, 2, 21), np.linspace(-4, 4, 17)))

@@ -37,6 +37,21 @@ def test_without_centres_reskpn_is_ppo():
     assert not np.array_equal(ours.parameters["policy"]["log_std"], ppo.start.parameters["policy"]["log_std"])
 
 
+def test_without_a_step_reskpn_is_ppo():
+    """With centres but eta = 0, h stays 0 and nothing comes from it: parameters as ppo's, bit for bit, twice over."""
+    reskpn, ppo = one_gradient_step("reskpn", eta=0.0), one_gradient_step("ppo")
+    ours, theirs = reskpn.start, ppo.start
+    for seed in range(2):
+        batch = random_batch(ppo, seed)
+        ours, _ = reskpn.step(ours, batch)
+        theirs, _ = ppo.step(theirs, batch)
+        for part in ("parameters", "optimiser", "observations", "returns"):
+            left, right = (trees.to_arrays(vars(state)[part]) for state in (ours, theirs))
+            assert same_bits(left, right), part
+    assert ours.expansion.capacity > 0
+    np.testing.assert_array_equal(ours.expansion.weights, 0.0)
+
+
 def test_update_is_a_function_of_state_and_batch():
     """The same update twice gives the same bits; another version or another key draws other minibatches."""
     learner = probe_learner("ppo")

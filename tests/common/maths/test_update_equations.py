@@ -136,6 +136,18 @@ def test_effect_metrics():
         np.testing.assert_allclose(given.metrics[name], value, rtol=1e-3, err_msg=name)
 
 
+def test_the_divergence_from_the_policy_that_acted():
+    """`policy/kl` is the mean of r - 1 - log r after networks and functional step together, over the batch."""
+    given = case("reskpn")
+    divergences = []
+    for transition in given.transitions:
+        mean, log_std = reference_policy(given.after, transition.observation)
+        log_ratio = reference.log_prob(mean, log_std, transition.action) - transition.log_prob
+        divergences.append(np.exp(log_ratio) - 1 - log_ratio)
+    np.testing.assert_allclose(given.metrics["policy/kl"], np.mean(divergences), rtol=1e-3)
+    assert given.metrics["policy/kl"] > 2 * given.metrics["rkhs/step_kl"]
+
+
 def test_gradients_reach_the_features_through_h():
     """With mu = 0 the features learn through h alone: not at all while its weights are zero, and then they do."""
     learner = one_gradient_step("reskpn")

@@ -6,27 +6,28 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from mirrors import no_mirror
-from small_learners import random_batch
+from small_learners import probe_learner, random_batch, same_bits
 from update_cases import in_the_middle, one_gradient_step
 
 from common.config.settings import AlgorithmSettings, RunSettings
 from common.errors import NumericsError
+from common.maths import trees
 from common.tasks import TASKS
 from common.wire.rollout import Rollout
 from services.learner.training.trainer import Trainer
 
-PARTS = ("parameters", "optimiser", "expansion", "observation moments", "return moments")
+PARTS = ("parameters", "optimiser", "expansion", "observation moments", "return moments", "gradient norm")
 
 
 @pytest.mark.parametrize(
     ("field", "broken"),
     [
         # A reward goes into advantages and so into everything trained, and into the returns; not into observations.
-        ("reward", {"parameters", "optimiser", "expansion", "return moments"}),
+        ("reward", {"parameters", "optimiser", "expansion", "return moments", "gradient norm"}),
         # An observation goes into everything but the returns.
-        ("observation", {"parameters", "optimiser", "expansion", "observation moments"}),
+        ("obs", {"parameters", "optimiser", "expansion", "observation moments", "gradient norm"}),
         # An action goes into ratios, and into the score of the drawn transition.
-        ("action", {"parameters", "optimiser", "expansion"}),
+        ("action", {"parameters", "optimiser", "expansion", "gradient norm"}),
         # Nothing broken, nothing said.
         (None, set()),
     ],
@@ -44,6 +45,18 @@ def test_what_is_not_finite_is_named(field, broken):
         name.removeprefix("finite/"): float(value) for name, value in metrics.items() if name.startswith("finite/")
     }
     assert found == {part: 0.0 if part in broken else 1.0 for part in PARTS}
+
+
+def test_a_gradient_whose_norm_overflows_is_named():
+    """Rewards of 1e25 make gradients of some 1e25: their squares pass 3e38, and clipping by the norm zeroes them."""
+    learner = probe_learner("ppo")
+    batch = random_batch(learner, seed=0)
+    state, metrics = learner.step(learner.start, replace(batch, reward=1e25 * batch.reward))
+    before, after = (trees.to_arrays(s.parameters["critic"]) for s in (learner.start, state))
+    assert all(np.isfinite(array).all() for array in after.values())
+    assert same_bits(before, after)
+    flags = {name: float(value) for name, value in metrics.items() if name.startswith("finite/")}
+    assert [name for name, finite in flags.items() if not finite] == ["finite/gradient norm"]
 
 
 TINY_RUN = RunSettings(

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from functions import gaussian_sum, points
+from functions import gaussian_sum, points, stepped
 from small_learners import random_batch, small_learner
 
 from common.config.settings import RunSettings
 from common.kernels.gaussian import Gaussian
 from common.kernels.linear import Linear
 from common.maths.diagnostics import MEASURED
+from common.maths.rkhs.clustering import Cluster
+from common.maths.rkhs.matching_pursuit import KernelMatchingPursuit
 from common.maths.variance import (
     gradient_variance,
     linear_ratio,
@@ -47,11 +51,16 @@ def test_equation_10_for_the_gaussian_kernel() -> None:
 
 
 def test_the_measured_ratio_to_the_linear_policy() -> None:
-    """One variance by the other, on the same transitions."""
+    """One variance by the other, on the same transitions, both summed in NumPy."""
+
+    def by_hand(k: np.ndarray) -> float:
+        products = ALPHA @ ALPHA.T * k
+        return float(np.trace(products) / 30 - products.sum() / 30**2)
+
+    expected = by_hand(gaussian_sum(Z, np.eye(30), Z, 2.0)) / by_hand(Z @ Z.T)
     with jax.enable_x64(True):
-        z, alpha = jnp.asarray(Z), jnp.asarray(ALPHA)
-        expected = gradient_variance(Gaussian(2.0), z, alpha) / gradient_variance(Linear(), z, alpha)
-        assert float(linear_ratio(Gaussian(2.0), z, alpha)) == pytest.approx(float(expected), rel=1e-12)
+        found = linear_ratio(Gaussian(2.0), jnp.asarray(Z), jnp.asarray(ALPHA))
+    assert float(found) == pytest.approx(expected, rel=1e-12)
 
 
 def test_lemma_3_1_is_what_monte_carlo_finds() -> None:
@@ -122,7 +131,7 @@ def test_theorem_3_2_orders_the_three_variances() -> None:
             assert with_q >= with_a >= with_residual > 0
 
 
-def test_the_laboratory_runs_at_its_interval_without_another_compilation() -> None:
+def test_variances_are_measured_at_their_interval_without_another_compilation() -> None:
     """Measured at updates 0 and 2 of three; between, its figures are 0 and say so. One program for all."""
     settings = RunSettings.model_validate(
         {
@@ -151,3 +160,54 @@ def test_the_laboratory_runs_at_its_interval_without_another_compilation() -> No
             metrics["variance/a_mean"] + metrics["variance/v_mean"], abs=1e-5
         )
         assert all(metrics[f"variance/{name}"] > 0 for name in ("gradient", "of_q", "of_a", "of_a_residual"))
+
+
+@functools.cache
+def measured(**rkhs: Any) -> dict[str, float]:
+    """The variance metrics of one update with these settings: d = 6, 64 transitions, h = 0 before."""
+    sizes = {"num_envs": 16, "num_steps": 4, "actors": 1, "total_steps": 640, "algorithm": {"hidden": (6,)}}
+    algorithm = {"algorithm": {"hidden": (6,), "minibatches": 1, "epochs": 1, "learning_rate": 1e-6}}
+    rkhs = {"variance_every": 1, "capacity": 64, **rkhs}
+    small = small_learner(RunSettings.model_validate(sizes | algorithm | {"rkhs": rkhs}), 3, 2)
+    batch = random_batch(small, 0)
+    log_prob = jnp.sum(-0.5 * jnp.square(batch.action) - 0.5 * np.float32(np.log(2 * np.pi)), axis=-1)
+    _, metrics = small.step(small.start, replace(batch, log_prob=log_prob))
+    return {name.removeprefix("variance/"): float(value) for name, value in metrics.items()}
+
+
+def test_the_gradient_that_is_taken_is_measured() -> None:
+    """n = 16 has 1/16 of one transition's variance, and keeps the figure of one transition.
+
+    A representation has that of its own functions: the projection onto 8 landmarks is less than the whole, and so is
+    the part in a basis of 8; eta scales coefficients by 0.1, variances by 0.01.
+    """
+    one, many = measured(samples=1), measured(samples=16)
+    assert one["gradient"] == pytest.approx(one["one_transition"], rel=1e-3)
+    assert many["one_transition"] == pytest.approx(one["one_transition"], rel=1e-4)
+    assert many["gradient"] == pytest.approx(one["gradient"] / 16, rel=1e-3)
+    landmarks = measured(samples=16, representation="nystrom", capacity=8)
+    assert landmarks["one_transition"] == pytest.approx(one["one_transition"], rel=1e-4)
+    assert 0.1 * many["gradient"] < landmarks["gradient"] < 0.999 * many["gradient"]
+
+
+def test_pairs_are_measured_as_pairs() -> None:
+    """The symmetric estimate has a variance of its own; that of one transition stays what it is."""
+    score, pairs = measured(samples=16), measured(samples=16, estimate="symmetric")
+    assert pairs["one_transition"] == pytest.approx(score["one_transition"], rel=1e-4)
+    assert 0 < pairs["gradient"] != pytest.approx(score["gradient"], rel=0.01)
+
+
+@pytest.mark.parametrize("make", [lambda k, m: Cluster(k, m, 0.5), lambda k, m: KernelMatchingPursuit(k, m, 0.0)])
+def test_functions_that_stand_in_for_others(make: Any) -> None:
+    """A transition on a centre has that centre's function: K(c_i, c_j), whether it joins it or is projected onto it."""
+    kernel = Gaussian(2.0)
+    representation = make(kernel, 16)
+    centres = points(1, 3)
+    state = stepped(representation, representation.empty(3, 1), centres, np.ones((1, 1)))
+    near = jnp.asarray(np.concatenate([centres, centres + 1e-3]), jnp.float32)
+    matrix = representation.gradient_gram(*state, near, 8)
+    np.testing.assert_allclose(matrix, np.ones((2, 2)), atol=1e-3)
+    far = jnp.asarray(centres + 10.0, jnp.float32)
+    # Far from every centre it is a new centre of a cluster, while of a projection nothing is left.
+    kept = 1.0 if isinstance(representation, Cluster) else 0.0
+    np.testing.assert_allclose(representation.gradient_gram(*state, far, 8), [[kept]], atol=1e-3)

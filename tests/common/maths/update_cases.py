@@ -20,7 +20,7 @@ DPO_ALPHA, DPO_BETA, DRIFT_ALPHA, DRIFT_BETA = 2.0, 0.6, 1.0, 0.6
 OLD_CENTRES, DRAWN, CAPACITY = 3, 8, 16
 
 
-def one_gradient_step(name: str, estimate: str = "score") -> SmallLearner:
+def one_gradient_step(name: str, estimate: str = "score", eta: float = ETA) -> SmallLearner:
     """A learner whose update is one pass over one minibatch, T = 3, E = 4 (two slots of two), O = 2, A = 2.
 
     With an epsilon far above any gradient, and a learning rate as large, Adam's first step is the gradient:
@@ -45,7 +45,7 @@ def one_gradient_step(name: str, estimate: str = "score") -> SmallLearner:
     )
     rkhs = RkhsSettings(
         bandwidth=BANDWIDTH,
-        eta=ETA,
+        eta=eta,
         momentum=MOMENTUM,
         clip=1.0,
         drift_alpha=DRIFT_ALPHA,
