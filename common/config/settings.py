@@ -148,6 +148,8 @@ class RunSettings(Section):
     """directory of the run; by default runs/<task>-<learner>-s<seed>-<time>"""
     episode_length: Count = EPISODE_LENGTH
     """steps after which the time limit truncates an episode"""
+    initial_states: Literal["fixed", "new"] = "fixed"
+    """fixed: every environment starts all its episodes in the same state; new: each episode's state is drawn anew"""
 
     algorithm: AlgorithmSettings = AlgorithmSettings()
     rkhs: RkhsSettings = RkhsSettings()

@@ -2,7 +2,7 @@
 
 Observations, rewards and terminations are those of `brax.envs`. This module adds to every step, in this order: actions
 are clipped to [-1, 1]; a diverged simulation is terminated; an episode is truncated at its length; an environment whose
-episode ended returns to its initial state.
+episode ended returns to its initial state, or to a new one.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class EnvState:
     obs: jax.Array
     """[N, O] float32."""
     first_bodies: Bodies
-    """The state to which each environment returns when an episode ends."""
+    """The state to which each environment returns when an episode ends, unless new states are drawn."""
     first_obs: jax.Array
     """[N, O] float32."""
     steps: jax.Array
@@ -92,9 +92,14 @@ class BatchedEnvironment:
         """Initial states of N episodes, drawn independently."""
         return self._reset(key)
 
-    def step(self, state: EnvState, action: jax.Array) -> tuple[EnvState, Transition]:
-        """One step of every environment under `action` [N, A], clipped to [-1, 1]."""
-        return self._step(state, action)
+    def step(
+        self, state: EnvState, action: jax.Array, reset_key: jax.Array | None = None
+    ) -> tuple[EnvState, Transition]:
+        """One step of every environment under `action` [N, A], clipped to [-1, 1].
+
+        With a `reset_key`, environments whose episode ended continue in new initial states drawn with it.
+        """
+        return self._step(state, action, reset_key)
 
     def physics_seconds(self) -> float | None:
         """Seconds spent inside the physics engine so far, or None if XLA compiled it into one program with the rest."""
@@ -114,7 +119,7 @@ class BatchedEnvironment:
         )
         return _strongly_typed(state)
 
-    def _step_all(self, state: EnvState, action: jax.Array) -> tuple[EnvState, Transition]:
+    def _step_all(self, state: EnvState, action: jax.Array, reset_key: jax.Array | None) -> tuple[EnvState, Transition]:
         action = jnp.clip(action, -1.0, 1.0)
         bodies, obs, reward, ended = jax.vmap(self._step_task)(state.bodies, action)
         diverged = ~jax.vmap(_is_sound)(bodies, obs, reward)
@@ -124,8 +129,9 @@ class BatchedEnvironment:
         terminated = ended | diverged
         truncated = (steps >= self._episode_length) & ~terminated
         over = terminated | truncated
+        initial_bodies, initial_obs = self._initial(state, over, reset_key)
         transition = Transition(
-            obs=_select(over, state.first_obs, next_obs),
+            obs=_select(over, initial_obs, next_obs),
             reward=reward,
             terminated=terminated,
             truncated=truncated,
@@ -134,7 +140,7 @@ class BatchedEnvironment:
             episode_length=jnp.where(over, steps, 0),
         )
         state = EnvState(
-            bodies=_select(over, state.first_bodies, bodies),
+            bodies=_select(over, initial_bodies, bodies),
             obs=transition.obs,
             first_bodies=state.first_bodies,
             first_obs=state.first_obs,
@@ -143,6 +149,19 @@ class BatchedEnvironment:
             diverged=state.diverged + diverged,
         )
         return _strongly_typed((state, transition))
+
+    def _initial(self, state: EnvState, over: jax.Array, reset_key: jax.Array | None) -> tuple[Bodies, jax.Array]:
+        """The bodies and observations [N, O] in which the episodes after those that are `over` [N] start."""
+        first = _strongly_typed((state.first_bodies, state.first_obs))
+        if reset_key is None:
+            return first
+
+        def draw() -> tuple[Bodies, jax.Array]:
+            drawn = jax.vmap(self._task.reset)(jax.random.split(reset_key, self.num_envs))
+            return _strongly_typed((drawn.pipeline_state, drawn.obs))
+
+        # Drawing costs a forward pass of all environments, and in most steps no episode ends.
+        return jax.lax.cond(jnp.any(over), draw, lambda: first)
 
     def _step_task(self, bodies: Bodies, action: jax.Array) -> tuple[Bodies, jax.Array, jax.Array, jax.Array]:
         """brax's own step of one environment: bodies, obs [O], reward [] and termination []."""

@@ -31,6 +31,9 @@ Tree = TypeVar("Tree", EnvState, Moments)
 RESET, COLLECT = 0, 1
 """Streams of random numbers, folded into an actor's key."""
 
+RESTART = 1
+"""Folded into the key of a step, which draws its actions, for the initial states that it may need."""
+
 
 @dataclass(frozen=True)
 class SlotGeneration:
@@ -135,7 +138,8 @@ class Collector:
         moments = _choose(mirrored, moments, seen) if branching else seen
         action, log_prob, mirror_image = self._reader.sample(replace(policy, observations=moments), start.obs, key)
         action = jnp.where(mirrored, mirror_image, action) if branching else action
-        after, transition = self._environment.step(start, action)
+        new = self._settings.initial_states == "new"
+        after, transition = self._environment.step(start, action, jax.random.fold_in(key, RESTART) if new else None)
         cut = transition.truncated & ~mirrored
         truncated_obs = jnp.where(cut[:, None], transition.next_obs, truncated_obs)
         made = Trajectory(

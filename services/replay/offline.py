@@ -15,7 +15,7 @@ from services.learner.reporting.scalars import Scalars
 from services.learner.training.checkpoints import write_checkpoint
 from services.learner.training.trainer import Trainer
 
-FIXED = ("task", "actors", "num_envs", "num_steps", "episode_length")
+FIXED = ("task", "actors", "num_envs", "num_steps", "episode_length", "initial_states")
 """Settings that the recorded rollouts depend on; another learner cannot choose them."""
 
 OnUpdate = Callable[[int, dict[str, float]], None]

@@ -114,6 +114,25 @@ def test_the_episodes_of_one_environment_repeat_their_start(pendulum: BatchedEnv
         jax.tree.map(np.testing.assert_array_equal, earlier, later)
 
 
+def test_new_initial_states_are_drawn_for_ended_episodes_alone(pendulum: BatchedEnvironment, task_of: Any) -> None:
+    """With a key, episodes that end go on where the task's own reset puts them; the others do not notice."""
+    state, _ = steps(pendulum, pendulum.reset(jax.random.key(0)), 1)
+    state = tilt(state, environment=1)
+    key = jax.random.key(7)
+    plain, _ = pendulum.step(state, jnp.zeros((4, 1)))
+    after, transition = pendulum.step(state, jnp.zeros((4, 1)), key)
+    np.testing.assert_array_equal(transition.terminated, [False, True, False, False])
+    # Environment i resets with the i-th of N keys, as `reset` does it.
+    drawn = pendulum.reset(key)
+    np.testing.assert_array_equal(transition.obs[1], drawn.obs[1])
+    np.testing.assert_array_equal(after.bodies.q[1], drawn.bodies.q[1])
+    assert (transition.obs[1] != state.first_obs[1]).any()
+    others = np.array([0, 2, 3])
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[others], b[others]), after, plain)
+    other, _ = pendulum.step(state, jnp.zeros((4, 1)), jax.random.key(8))
+    assert (other.obs[1] != after.obs[1]).any()
+
+
 def test_an_end_at_the_last_step_is_the_tasks_not_the_clocks(pendulum: BatchedEnvironment) -> None:
     """Terminated and truncated exclude each other: what was terminated has no value to bootstrap from."""
     state, _ = steps(pendulum, pendulum.reset(jax.random.key(0)), 4)

@@ -67,6 +67,17 @@ def test_a_simulation_that_diverged_is_ended_and_counted(mjx: BatchedEnvironment
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after, transition)))
 
 
+def test_new_initial_states_are_those_of_the_native_engine(mjx: BatchedEnvironment, native: BatchedEnvironment) -> None:
+    """Drawn with the same key, up to rounding, for the environment whose episode ended."""
+    start = native.reset(jax.random.key(0))
+    bodies = dataclasses.replace(start.bodies, qd=start.bodies.qd.at[1, 0].set(jnp.nan))
+    after, transition = mjx.step(dataclasses.replace(start, bodies=bodies), jnp.zeros((N, 1)), jax.random.key(5))
+    drawn = native.reset(jax.random.key(5))
+    np.testing.assert_array_equal(transition.terminated, [False, True])
+    np.testing.assert_allclose(transition.obs[1], drawn.obs[1], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(after.bodies.q[1], drawn.bodies.q[1], rtol=1e-5, atol=1e-6)
+
+
 def test_time_in_physics_cannot_be_told(mjx: BatchedEnvironment) -> None:
     """XLA compiles physics into one program with the rest."""
     assert mjx.physics == "mjx"

@@ -244,6 +244,28 @@ def test_a_branch_is_the_last_step_with_the_mirrored_action(
         assert (arrays["mirror_obs"] != arrays["last_obs"]).any(axis=1).all()
 
 
+def test_episodes_may_start_in_new_states(policy: Policy) -> None:
+    """With `initial_states new` no two episodes of the run start alike, and the same place makes the same rollouts."""
+    run = settings(**SETTINGS.model_dump() | {"initial_states": "new"})
+    made = []
+    for _ in range(2):
+        collector = Collector(run, HOLDER, PolicyReader(run))
+        collector.compile()
+        sent = []
+        for _ in range(4):
+            sent.append(arrays_of(collect(collector, policy)))
+            collector.keep()
+        made.append(sent)
+    for one, other in zip(*made, strict=True):
+        assert_same(one, other)
+    obs = np.concatenate([arrays["obs"] for arrays in made[0]])
+    over = np.concatenate([arrays["terminated"] | arrays["truncated"] for arrays in made[0]])
+    starts = np.concatenate([obs[0], obs[1:][over[:-1]]])
+    # 4 environments x 20 steps, and no episode is longer than 7 steps: every environment starts at least three times.
+    assert len(starts) >= 12
+    assert len(np.unique(starts, axis=0)) == len(starts)
+
+
 def test_a_branch_leaves_the_rollouts_as_they_are(
     made: list[dict[str, np.ndarray]], branching: list[dict[str, np.ndarray]]
 ) -> None:
