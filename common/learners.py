@@ -15,7 +15,7 @@ Target = Literal["A", "Q"]
 
 @dataclass(frozen=True)
 class Learner:
-    """What a learner is made of.
+    """The switches of a learner.
 
     features: h and the residual layer see learned features psi(o); without them h sees the whitened observation.
     rkhs: the policy mean has the RKHS part h (paper, equation 5).

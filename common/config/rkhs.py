@@ -25,7 +25,7 @@ _NEEDS: dict[str, Property] = {
     "nystrom": "positive semi-definite",
     "kmp": "positive semi-definite",
 }
-"""What a representation needs of its kernel; those that are not named work with every kernel."""
+"""The property that a representation needs of its kernel; those that are not named work with every kernel."""
 
 _REASONS: dict[Property, str] = {
     "spectrum": "random Fourier features exist only for kernels of x - y",
@@ -118,7 +118,7 @@ class RkhsSettings(Section):
 
 
 def impossibility(rkhs: RkhsSettings, batch: int, num_envs: int) -> str | None:
-    """Why these settings cannot go together in a run with batches of so many transitions; None where they can."""
+    """The reason for which these settings exclude one another at this batch size; None where they do not."""
     pairs = rkhs.estimate == "symmetric"
     name, samples = rkhs.representation, rkhs.samples
     if samples == "batch":

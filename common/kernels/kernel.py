@@ -14,7 +14,7 @@ Array = Any
 """An array of the namespace `xp`."""
 
 Property = Literal["positive semi-definite", "spectrum", "orthonormal basis"]
-"""What a representation of h may need of its kernel.
+"""Properties that a representation of h may need of its kernel.
 
 spectrum: K is the characteristic function of a distribution, so that there are random Fourier features.
 orthonormal basis: the one of `common.maths.rkhs.basis` spans the kernel's space.

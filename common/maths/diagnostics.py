@@ -1,4 +1,4 @@
-"""What an update did to the policy, as metrics."""
+"""Metrics of an update: the change of the policy, the state of h, the variance of its gradient."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class Expansion:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class RepresentationState:
-    """What a representation of h keeps from one update to the next, beside h itself.
+    """State of a representation of h from one update to the next, beside h itself.
 
     Subclasses add what their representation needs: the age of centres, the whitening of landmarks.
 
@@ -72,7 +72,7 @@ def append(
 ) -> tuple[Expansion, RepresentationState]:
     """Take n centres in, with weight 0, and g = sum_k alpha_k K(c_k, .) into v <- decay v + (1 - decay) g.
 
-    The newest centre stands in row (added - 1) mod M. A full expansion gives up its oldest centres, and what
+    The newest centre stands in row (added - 1) mod M. A full expansion evicts its oldest centres, with what
     they contributed to h and v.
 
     Args:

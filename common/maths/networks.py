@@ -66,7 +66,7 @@ class TwoHeads(nnx.Module):
 
 
 class PolicyNetwork(nnx.Module):
-    """What of the policy is trained by gradients: psi, mu and log_std, as far as the learner has them."""
+    """The part of the policy that gradients train: psi, mu and log_std, as far as the learner has them."""
 
     def __init__(
         self, learner: Learner, observation_size: int, action_size: int, hidden: Sequence[int], rngs: nnx.Rngs

@@ -1,4 +1,4 @@
-"""What the networks and the expansion are trained to increase, as functions of ratio and advantage."""
+"""Objectives of the networks and the expansion, as functions of ratio and advantage."""
 
 from __future__ import annotations
 

@@ -21,8 +21,8 @@ def generalised_advantage(
     """Generalised advantage estimation (Schulman et al. 2016, equation 16).
 
     delta_t = r_t + gamma (1 - terminated_t) V(s_t+1) - V(s_t), summed with (gamma lambda)^l up to the end of the
-    episode. `next_value` is the value of the state that a step led to, before any reset; whoever does not want to
-    bootstrap at the time limit passes zero there.
+    episode. `next_value` is the value of the state that a step led to, before any reset; pass zero there to
+    leave out the bootstrap at the time limit.
     """
     delta = reward + gamma * jnp.where(terminated, 0.0, next_value) - value
     carries_on = jnp.where(terminated | truncated, 0.0, gamma * lambda_)

@@ -1,7 +1,7 @@
-"""How far a functional step may go: the mean KL divergence of all that changes in h stays within a target.
+"""Size of a functional step: the largest that keeps the mean KL divergence of all changes of h within a target.
 
-Of h moves what the representation gives up to make room, what shrinkage takes, and the step s v itself. Only the mean
-of the policy moves, so that KL is a quadratic function of s.
+h changes by evicted centres (or their refitting, or new landmarks), by shrinkage, and by the step s v itself. Only the
+mean of the policy moves, so that KL is a quadratic function of s.
 """
 
 from __future__ import annotations
@@ -60,14 +60,14 @@ class TrustRegion:
     ) -> tuple[Function, RepresentationState, Float[Array, ""]]:
         """h and v to step from, and the size s of the step.
 
-        Where what was given up is above the target by itself, the representation retreats: it gives up as much as the
-        target allows, and the rest of the update waits.
+        Where the change without a step is above the target by itself, the representation retreats: it makes as much of
+        that change as the target allows, and the rest of the update waits.
 
         Args:
             old: h and v before the update.
-            averaged: h and v with the gradient taken in, and without what was given up for it.
+            averaged: h and v after `Representation.average`, which adds the gradient to v and may evict centres.
         """
-        if averaged[0] is old[0]:  # known when the update is compiled: nothing is ever given up
+        if averaged[0] is old[0]:  # known at compile time: no centre is ever evicted
             return *averaged, self._scale(averaged, jnp.zeros_like(self.h))
         change = self._change(averaged[0])
         kl = jnp.mean(gaussians.kl_of_means(change, jnp.zeros_like(change), self.log_std))
@@ -83,7 +83,7 @@ class TrustRegion:
         return jax.lax.cond(kl <= self.target, go_on, retreat)
 
     def _change(self, function: Function) -> Float[Array, "P A"]:
-        """How far h has moved without a step."""
+        """The change of h at the probes without a step."""
         return self.representation.evaluate(function, self.features) - self.h
 
     def _scale(self, pair: tuple[Function, RepresentationState], change: Float[Array, "P A"]) -> Float[Array, ""]:

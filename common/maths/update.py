@@ -114,7 +114,7 @@ class Update:
         return moments, discounted, reward
 
     def _whitened(self, state: LearnerState, batch: Batch) -> Batch:
-        """The batch with observations as its actors saw them: each rollout goes on from the moments of the snapshot.
+        """The batch with observations as its actors saw them: each rollout starts from the moments of the snapshot.
 
         What an actor did not act on is whitened by the moments at the rollout's end.
         """

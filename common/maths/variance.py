@@ -1,4 +1,4 @@
-"""How noisy functional gradients are (paper, sections 3.1 and 3.3, appendices A to C)."""
+"""Variance of functional gradients (paper, sections 3.1 and 3.3, appendices A to C)."""
 
 from __future__ import annotations
 

@@ -27,12 +27,12 @@ class ClusterState(RepresentationState):
 @final
 @dataclass(frozen=True)
 class Cluster(OfKernels[ClusterState]):
-    """A transition closer than `radius` to a centre joins the nearest one; the others are taken in order.
+    """A transition closer than `radius` to a centre joins the nearest one; the others are visited in order.
 
     Each of those becomes a centre, and what is closer to it than `radius` and not yet taken joins it. With radius 0
     nothing joins, and this is `exact`. For a kernel with Lipschitz constant L a step errs by at most
     radius L sum_k |alpha_k| anywhere. Where there are more clusters than room in one step, the rest joins the nearest.
-    A full expansion gives up its oldest centres.
+    A full expansion evicts its oldest centres.
     """
 
     radius: float
@@ -60,11 +60,12 @@ class Cluster(OfKernels[ClusterState]):
         joined = jnp.min(distance, axis=1) < self.radius**2
         leaders, owner = self._lead(features, joined, room)
         count = jnp.sum(leaders < features.shape[0], dtype=jnp.int32)
-        # New centres take the rows after the newest one; those past `count` are dropped as out of bounds.
+        # Shapes are fixed, the number of new centres is not: row numbers past `count` are out of bounds, and writes to
+        # them dropped. New centres take the rows after the newest one, so that rows are overwritten oldest first.
         order = jnp.arange(room, dtype=jnp.int32)
         rows = jnp.where(order < count, (state.added + order) % capacity, capacity)
         kept = jnp.ones((capacity, 1), state.velocity.dtype).at[rows].set(0.0, mode="drop")
-        # What joined a centre that gives way now goes with it.
+        # A transition that joined a centre evicted in this very step is lost with it: the row now holds another centre.
         old = jnp.where(kept[nearest, 0] > 0.0, nearest, capacity)
         target = jnp.where(owner < room, rows[jnp.minimum(owner, room - 1)], old)
         velocity = (decay * kept * state.velocity).at[target].add((1.0 - decay) * coefficients, mode="drop")
@@ -82,8 +83,10 @@ class Cluster(OfKernels[ClusterState]):
         an old centre. One round for each new centre, of n distances.
         """
         count = features.shape[0]
+        # `owner` is the number of a transition's new centre, `room` where it has joined an old one, and -1 while it is
+        # not assigned. Sequential by nature: whether a transition leads depends on the radii of all leaders before it.
 
-        def go_on(carry: tuple[Array, Array, Array]) -> Array:
+        def unassigned_left(carry: tuple[Array, Array, Array]) -> Array:
             made, _, owner = carry
             return (made < room) & jnp.any(owner < 0)
 
@@ -92,6 +95,7 @@ class Cluster(OfKernels[ClusterState]):
             leader = jnp.argmax(owner < 0).astype(jnp.int32)
             distance = jnp.sum(jnp.square(features - features[leader]), axis=1)
             takes = (owner < 0) & (distance < self.radius**2)
+            # A leader owns itself even with radius 0, or the loop would not end.
             owner = jnp.where(takes, made, owner).at[leader].set(made)
             return made + 1, leaders.at[made].set(leader), owner
 
@@ -100,8 +104,8 @@ class Cluster(OfKernels[ClusterState]):
             jnp.full((room,), count, jnp.int32),
             jnp.where(joined, room, -1).astype(jnp.int32),
         )
-        _, leaders, owner = jax.lax.while_loop(go_on, lead, start)
-        if count > room:  # else there was room for all
+        _, leaders, owner = jax.lax.while_loop(unassigned_left, lead, start)
+        if count > room:  # more clusters than room are possible: the rest joins the nearest, whatever its distance
             nearest = jnp.argmin(squared_distances(features, features[jnp.minimum(leaders, count - 1)]), axis=1)
             owner = jnp.where(owner < 0, nearest.astype(jnp.int32), owner)
         return leaders, owner

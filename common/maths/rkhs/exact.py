@@ -1,4 +1,4 @@
-"""Every transition of a gradient becomes a centre, as in the paper; within a budget, the oldest give way."""
+"""Every transition of a gradient becomes a centre, as in the paper; within a budget, the oldest are evicted."""
 
 from __future__ import annotations
 
@@ -43,5 +43,5 @@ class Exact(OfKernels[RepresentationState]):
 
     def age(self, state: RepresentationState, samples: int) -> Float[Array, ""]:
         rows = jnp.arange(state.velocity.shape[0], dtype=jnp.int32)
-        used = rows < state.added  # taken in the order of age, newest first
+        used = rows < state.added  # numbered by age, newest first
         return jnp.sum(jnp.where(used, rows // samples, 0)) / jnp.maximum(jnp.sum(used), 1)

@@ -89,6 +89,7 @@ class KernelMatchingPursuit(OfKernels[PursuitState]):
         function = Expansion(function.centres.at[rows].set(features[chosen]), function.weights)
         gradient = jnp.zeros_like(state.velocity).at[rows].add(coefficients[chosen])
         if wanted < count:
+            # More transitions than new centres: the gradient's projection onto the span, in place of its own terms.
             inverse = self._inverse(function.centres, used)
             across = product(gram(self.kernel, function.centres, features), coefficients)
             gradient = product(inverse, jnp.where(used[:, None], across, 0.0))
@@ -123,9 +124,12 @@ class KernelMatchingPursuit(OfKernels[PursuitState]):
     ) -> tuple[Expansion, PursuitState]:
         """Take out centres until `wanted` rows are free, and while the error allows."""
         size = function.weights.shape[1]
-        ahead = decay / (1.0 - decay)  # v's share of all steps to come, were there no new gradients
+        # Without new gradients v adds decay + decay^2 + ... = decay / (1 - decay) of itself to h. Counted now, or a new
+        # centre would be the cheapest one: its weight starts with a tenth of its coefficient.
+        ahead = decay / (1.0 - decay)
 
         def prune(_: None) -> _Pruning:
+            # One inversion for all removals: without row j the inverse of the rest is a rank-one correction away.
             inverse = self._inverse(function.centres, state.used)
             targets = jnp.concatenate([function.weights, ahead * state.velocity], axis=1)
             return jax.lax.while_loop(
@@ -140,11 +144,12 @@ class KernelMatchingPursuit(OfKernels[PursuitState]):
             targets = jnp.concatenate([function.weights, ahead * state.velocity], axis=1)
             return _Pruning(nothing, targets, state.used, jnp.zeros((), nothing.dtype))
 
+        # The inverse costs M^3, so it is left out while there is room; with an error to spend there is always work.
         full = jnp.sum(~state.used) < wanted
         pruned = prune(None) if self.error else jax.lax.cond(full, prune, leave, None)
         weights = jnp.where(pruned.used[:, None], pruned.targets[:, :size], 0.0)
         velocity = state.velocity
-        if ahead:
+        if ahead:  # without momentum v is the last gradient and already in h: nothing to refit
             velocity = jnp.where(pruned.used[:, None], pruned.targets[:, size:] / ahead, 0.0)
         return Expansion(function.centres, weights), PursuitState(
             velocity, state.added, state.born, state.updates, pruned.used, pruned.spent.astype(jnp.float32)

@@ -1,4 +1,4 @@
-"""What every representation of h can do, and the arrays it is made of."""
+"""The interface of the representations of h, and the arrays of h."""
 
 from __future__ import annotations
 
@@ -121,9 +121,9 @@ class Representation(abc.ABC, Generic[FunctionT, StateT]):
     def retreat(
         self, old: tuple[FunctionT, StateT], averaged: tuple[FunctionT, StateT], part: Float[Array, ""]
     ) -> tuple[FunctionT, StateT]:
-        """h and v that keep the functions of `old`, where what `averaged` gives up of h moves it too far.
+        """h and v with the functions of `old`, for an update in which `averaged` changes h by too much.
 
-        Only this part of it is given up. The gradient of the update is lost, its room is not there yet.
+        Only this part of that change is made. The gradient of the update is lost: there is no room for it yet.
         """
         weights = old[0].weights + part * (self.surviving_weights(old[0], averaged[0]) - old[0].weights)
         return replace(old[0], weights=weights), old[1]
@@ -142,7 +142,7 @@ class OfKernels(Representation[Expansion, StateT]):
     """The functions are K(c_i, .)."""
 
     def surviving_weights(self, old: Expansion, averaged: Expansion) -> Float[Array, "M A"]:
-        # A centre that came new has weight 0 so far: what stood in its row is what was given up.
+        # A new centre has weight 0 so far; the one that its row held before is evicted.
         stayed = jnp.all(old.centres == averaged.centres, axis=1, keepdims=True)
         return jnp.where(stayed, averaged.weights, 0.0)
 
