@@ -27,7 +27,7 @@ def page(text: str) -> str:
 
 
 def table() -> str:
-    """Of every task: what a step, a rollout and a million steps take in the log."""
+    """The bytes that a step, a rollout and a million steps of every task take in the log."""
     return "".join(f"{line}\n" for line in _lines())
 
 

@@ -42,12 +42,24 @@ def _without_effect(settings: RunSettings) -> Iterator[tuple[str, str]]:
     if settings.transport.certificates is None and settings.transport.users is None:
         for name in ("transport.actor_names", "transport.viewer_names"):
             yield name, "without certificates or users"
+    yield from _without_effect_in_critic(settings)
     if LEARNERS[settings.learner].rkhs:
         yield from _without_effect_in_rkhs(settings)
     else:
         for name in leaves():
             if name.startswith("rkhs."):
                 yield name, f"learner {settings.learner} has no RKHS part"
+
+
+def _without_effect_in_critic(settings: RunSettings) -> Iterator[tuple[str, str]]:
+    chosen = settings.critic.representation
+    if chosen == "none":
+        for name in leaves():
+            if name.startswith("critic."):
+                yield name, "critic.representation is none"
+    elif chosen == "linear":
+        for name in ("critic.capacity", "critic.bandwidth"):
+            yield name, "for critic.representation rff or nystrom"
 
 
 def _without_effect_in_rkhs(settings: RunSettings) -> Iterator[tuple[str, str]]:

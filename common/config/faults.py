@@ -27,7 +27,7 @@ class Source:
     values: Mapping[str, Any]
 
     def sets(self, location: Location) -> bool:
-        """Whether it sets the value at a place of the tree, or the list that has it as an element."""
+        """Return whether it sets the value at a place of the tree, or the list that has it as an element."""
         values: Any = self.values
         for part in location:
             if isinstance(values, list | tuple | str):

@@ -121,7 +121,7 @@ def load_over(
     environment: Mapping[str, str] | None = None,
     own_endpoint: bool = True,
 ) -> RunSettings:
-    """As `load`, but with the settings of an existing run, `base`, in place of the defaults.
+    """The settings of a run like `load`, with those of an existing run, `base`, in place of the defaults.
 
     `own_endpoint`: keep its transport.endpoint, too.
     """
@@ -185,7 +185,7 @@ def _from_environment(environment: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _is_known(name: str) -> bool:
-    """Whether a variable with the prefix is known: as a setting, or something inside a section, or another variable."""
+    """Return whether a variable with the prefix is a setting, something inside a section, or one of the others."""
     head, _, rest = name[len(PREFIX) :].lower().partition("__")
     field = RunSettings.model_fields.get(head)
     if field is None:

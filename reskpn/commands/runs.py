@@ -80,7 +80,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def best_runs(runs: Sequence[ListedRun]) -> list[ListedRun]:
-    """Of each task and learner the run with the highest return; without a return none. Ordered by task and return."""
+    """The run with the highest return of each task and learner, ordered by both; without a return, none."""
     best: dict[tuple[str, str], ListedRun] = {}
     for listed in runs:
         key = listed.task, listed.learner

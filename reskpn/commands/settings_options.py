@@ -30,7 +30,7 @@ def settings_given_over(given: argparse.Namespace) -> partial[RunSettings]:
 
 
 def settings_epilog() -> str:
-    """What `--help` says about settings as a whole."""
+    """The paragraph of `--help` about settings as a whole."""
     width = max(len(name) for name in LEARNERS)
     learners = "\n".join(f"  {learner.name:{width}}  {learner.text}" for learner in LEARNERS.values())
     return f"""\

@@ -39,7 +39,7 @@ def rollout_bytes(settings: RunSettings) -> int:
 
 
 def needs(settings: RunSettings, policy_bytes: int, state_bytes: int) -> Needs:
-    """Of the whole run on one machine: its directory at the end, and all its processes.
+    """The needs of a whole run on one machine: its directory at the end, and all its processes.
 
     Args:
         policy_bytes, state_bytes: arrays of a snapshot, and of a checkpoint.

@@ -25,6 +25,12 @@ from common.config.settings import RunSettings
         ({"rkhs": {"kernel": "linear", "bandwidth": 2.0}}, "rkhs.bandwidth (for rkhs.kernel gaussian or laplacian)"),
         ({"rkhs": {"radius": 0.2}}, "rkhs.radius (for rkhs.representation cluster)"),
         ({"rkhs": {"representation": "cluster", "radius": 0.2}}, ""),
+        ({"critic": {"ridge": 0.1}}, "critic.ridge (critic.representation is none)"),
+        ({"critic": {"representation": "rff", "ridge": 0.1, "capacity": 64}}, ""),
+        (
+            {"critic": {"representation": "linear", "capacity": 64}},
+            "critic.capacity (for critic.representation rff or nystrom)",
+        ),
         ({"algorithm": {"dpo_alpha": 3.0}}, "algorithm.dpo_alpha (for the objective dpo)"),
         ({"learner": "dpo", "algorithm": {"dpo_alpha": 3.0}}, ""),
         ({"algorithm": {"objective": "dpo", "dpo_alpha": 3.0}}, ""),
