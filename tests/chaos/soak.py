@@ -32,7 +32,7 @@ from common.wire.session import Session, open_session
 from tests.chaos.interruptions import Apart, audited, processes, small_options
 from tests.mutations import Mutator
 
-PER_PUSH_S = 0.2
+PER_PUSH_S = 1.0
 """For so long an actor under the fault sends wrong messages beside each of its rollouts."""
 
 ASK_S = 20.0
@@ -239,7 +239,9 @@ def soak(folder: Path, minutes: float, seed: int) -> Soaked:
     account = folder / "account.txt"
     with processes(folder) as started:
         began_s = time.monotonic()
-        started.start("train", *options, "--run-dir", folder / "alone").end()
+        alone = started.start("train", *options, "--run-dir", folder / "alone")
+        alone.ended(60 * minutes * 4 + 240)
+        alone.end()
         print(f"alone: {time.monotonic() - began_s:.0f} s", flush=True)
         apart = Apart(started, folder / "run", options, actor_faults=([], [f"soak {seed} {account}"]))
         apart.report_once(lambda report: report.progress is not None and report.progress.version > 5)

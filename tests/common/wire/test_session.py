@@ -32,6 +32,18 @@ with open_session(connect=[sys.argv[1]], connect_timeout_s=10, max_message_size=
 """
 
 
+ASKER = """
+import sys, threading
+from common.wire.session import open_session
+with open_session(connect=[sys.argv[1]], connect_timeout_s=10, max_message_size=10_000_000, lease_s=60) as session:
+    def ask():
+        session.ask("t/large", b"", 60)
+    threads = [threading.Thread(target=ask, daemon=True) for _ in range(int(sys.argv[2]))]
+    [thread.start() for thread in threads]
+    sys.stdin.read()
+"""
+
+
 @pytest.fixture
 def endpoint():
     return f"tcp/127.0.0.1:{free_port()}"
@@ -290,6 +302,27 @@ def test_a_killed_process_is_noticed(sessions, endpoint):
         finally:
             os.kill(child.pid, signal.SIGKILL)
         assert seen.get(timeout=WAIT_S) == ("t/alive/actor/child", False)
+
+
+def test_a_peer_that_does_not_read_holds_up_nobody(sessions, endpoint):
+    """One asks for 16 answers of 8 MB and stops reading: the thread that gives them goes on at once, and others are
+    answered on the same key, long before Zenoh gives the first up after 30 s."""
+    learner, large = sessions(listen=True, lease_s=60), bytes(8_000_000)
+    asked, count = Queue(), 16
+    learner.serve("t/large", lambda request: request.reply(b"small") if request.payload else asked.put(request))
+    command = [sys.executable, "-c", ASKER, endpoint, str(count)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as child:
+        try:
+            waiting = [asked.get(timeout=30) for _ in range(count)]
+            os.kill(child.pid, signal.SIGSTOP)
+            other = sessions()
+            began_s = time.monotonic()
+            for request in waiting:
+                request.reply(large)
+            assert within(WAIT_S, lambda: other.ask("t/large", b"?", WAIT_S)) == b"small"
+            assert time.monotonic() - began_s < 2 * WAIT_S
+        finally:
+            os.kill(child.pid, signal.SIGKILL)
 
 
 def test_actors_wait_for_a_learner_and_for_its_return(sessions):
