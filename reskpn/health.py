@@ -56,6 +56,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             metavar="DIR",
             help="directory with the learner's or an actor's certificate",
         )
+        if name == "learner":
+            add(
+                "--port",
+                type=int,
+                metavar="N",
+                help="ask at its transport.health_port instead",
+            )
         add("--users", type=Path, metavar="FILE", help=f"file with a line user:password that the {name} accepts")
     for name in ("actor", "evaluator"):
         follower = services.add_parser(name)
@@ -64,7 +71,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     given = parser.parse_args(arguments)
     try:
-        if given.service in ("learner", "router"):
+        if given.service == "learner" and given.port is not None:
+            health = port_health(given.port, given.timeout)
+        elif given.service in ("learner", "router"):
             examine = learner_health if given.service == "learner" else router_health
             health = examine(given.endpoint, given.timeout, Credentials(given.certificates, given.users))
         else:
@@ -92,6 +101,21 @@ def learner_health(endpoint: str, timeout_s: float, credentials: Credentials = N
     except ReskpnError as error:
         return Health(False, f"the learner takes no joins: {error}")
     return Health(True, f"the learner answers joins for run {reply.run}")
+
+
+def port_health(port: int, timeout_s: float) -> Health:
+    """Ask the learner of this machine at its `transport.health_port`, which needs neither certificates nor Zenoh."""
+    import http.client
+
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=timeout_s)
+    try:
+        connection.request("GET", "/")
+        answer = connection.getresponse()
+        return Health(answer.status == 200, answer.read(1024).decode("utf-8", "replace").strip())
+    except (OSError, http.client.HTTPException) as error:
+        return Health(False, f"the learner does not answer at port {port}: {error or type(error).__name__}")
+    finally:
+        connection.close()
 
 
 def router_health(endpoint: str, timeout_s: float, credentials: Credentials = NO_CREDENTIALS) -> Health:

@@ -192,7 +192,7 @@ def test_commands_are_those_there_are(documents: list[Document], monkeypatch: py
 
 
 def test_probes_ask_the_right_thing(documents: list[Document], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Followers: of the file that they are told to keep. Learner: at its own port, with its certificates."""
+    """Followers: of the file that they are told to keep. Learner: at its own port for health checks."""
     for service, workload in workloads(documents).items():
         found = container(workload)
         probes = [found[name] for name in ("startupProbe", "livenessProbe", "readinessProbe") if name in found]
@@ -203,7 +203,8 @@ def test_probes_ask_the_right_thing(documents: list[Document], monkeypatch: pyte
             # A health check loads Python and Zenoh: more than the second that is the default.
             assert probe["timeoutSeconds"] >= 10
             if service == "learner":
-                assert command[4:] == ["--endpoint", "tls/127.0.0.1:7447", "--certificates", "/certificates"]
+                values = {variable["name"]: variable.get("value") for variable in found["env"]}
+                assert command[4:] == ["--port", values["RESKPN_TRANSPORT__HEALTH_PORT"]]
                 continue
             kept: list[Path] = []
             monkeypatch.setattr(health, "follower_health", lambda _, file, kept=kept: kept.append(file) or WELL)

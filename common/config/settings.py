@@ -14,7 +14,19 @@ from pydantic import field_validator, model_validator
 
 from common.config import critic as critics
 from common.config.critic import CriticSettings
-from common.config.kinds import Count, Fraction, Names, Natural, NotNegative, Positive, Section, Seed, Staleness, Widths
+from common.config.kinds import (
+    Count,
+    Fraction,
+    Names,
+    Natural,
+    NotNegative,
+    Port,
+    Positive,
+    Section,
+    Seed,
+    Staleness,
+    Widths,
+)
 from common.config.rkhs import RkhsSettings, impossibility
 from common.engine_names import PHYSICS
 from common.learners import LEARNERS
@@ -95,6 +107,8 @@ class TransportSettings(Section):
     """seconds that an actor waits for the learner's answer before it repeats a request"""
     lease_s: Positive = 2.0
     """seconds of silence after which a peer counts as lost"""
+    health_port: Port | None = None
+    """port of the learner on 127.0.0.1 for health checks over plain HTTP; by default none"""
 
 
 class LogSettings(Section):

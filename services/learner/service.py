@@ -18,6 +18,7 @@ from common.runs.directory import SUMMARY, claim_run_dir, write_settings
 from common.runtime import enable_compilation_cache
 from common.wire.listener import make_listener_monitor, require_authentication
 from common.wire.session import Session
+from services.learner.endpoints.health_port import health_port
 from services.learner.endpoints.hub import Hub
 from services.learner.endpoints.listening import open_listener
 from services.learner.endpoints.sizes import check_rollout_size
@@ -63,6 +64,7 @@ def run_learner(
         listener = stack.enter_context(make_listener_monitor(settings.transport))
         session = stack.enter_context(open_listener(settings.transport))
         notes = adopt_numerical_origin(settings.run_dir) if resume and settings.run_dir else []
+        readiness = stack.enter_context(health_port(settings.transport.health_port))
         trainer = Trainer(settings)
         if origin is not None:
             begin_from(origin, trainer)
@@ -84,6 +86,7 @@ def run_learner(
         _tell_of_beginning(resumption, outlets, run_dir, "resumed" if resume else "began_from")
         hub = _make_hub(settings, session, outlets, resumption)
         listener.watch(session, hub.connection_refused)
+        readiness.serve(resumption.run, hub.actors)
         replay = ResumedReplay(hub, resumption, outlets.events.add)
         if resumption.arrays is not None:
             trainer.restore(resumption.arrays)

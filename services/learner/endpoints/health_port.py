@@ -1,0 +1,75 @@
+"""A port for health checks: plain HTTP on loopback, which clients of the learner's listener cannot keep busy."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+from common.errors import SessionError
+
+REQUEST_S = 5.0
+HOST = "127.0.0.1"
+
+
+class Readiness:
+    """Whether the learner serves requests to join: not before `serve` was called."""
+
+    def __init__(self) -> None:
+        self._run = ""
+        self._respond: Callable[[], object] = lambda: None
+
+    def serve(self, run: str, respond: Callable[[], object]) -> None:
+        """The run is served from now on. `respond` returns as soon as a request to join would be answered."""
+        self._respond = respond
+        self._run = run
+
+    def answer(self) -> tuple[int, str]:
+        """(HTTP status, a line of text)."""
+        if not self._run:
+            return 503, "the learner is starting"
+        self._respond()
+        return 200, f"the learner answers joins for run {self._run}"
+
+
+@contextmanager
+def health_port(port: int | None) -> Iterator[Readiness]:
+    """Serve GET on loopback while it is entered; nothing without a port. SessionError where the port is in use."""
+    readiness = Readiness()
+    if port is None:
+        yield readiness
+        return
+
+    class Handler(BaseHTTPRequestHandler):
+        timeout = REQUEST_S
+
+        def do_GET(self) -> None:
+            status, text = readiness.answer()
+            content = f"{text}\n".encode()
+            self.send_response(status)
+            self.send_header("Content-Type", "text/plain; charset=utf-8")
+            self.send_header("Content-Length", str(len(content)))
+            self.end_headers()
+            self.wfile.write(content)
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Nothing is printed: checks come every few seconds."""
+
+    try:
+        server = ThreadingHTTPServer((HOST, port), Handler)
+    except OSError as error:
+        raise SessionError(
+            f"health checks cannot be served on port {port} of {HOST} ({error.strerror}): choose another "
+            "transport.health_port"
+        ) from None
+    server.daemon_threads = True
+    server.handle_error = lambda *_: None  # type: ignore[method-assign]  # a check that was broken off
+    thread = threading.Thread(target=server.serve_forever, name="health", daemon=True)
+    thread.start()
+    try:
+        yield readiness
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
