@@ -1,6 +1,6 @@
 """The learner's loop: collect, update, publish, log, until the run is done or asked to stop.
 
-The loop is a generator of updates; what is made of each (log, events, display, checkpoints) stands beside it.
+The loop is a generator of updates; what records and shows them (log, curves, display) consumes it.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class TrainingLoop:
         )
 
     def evaluate(self) -> Evaluation | None:
-        """The final policy without exploration noise, by one of the actors; None where stopped or not wanted."""
+        """Have an actor evaluate the final policy without exploration noise; None where stopped or not wanted."""
         episodes = self._settings.evaluation.episodes
         if not episodes:
             return None
@@ -130,7 +130,7 @@ class TrainingLoop:
         return None
 
     def dismiss(self) -> None:
-        """Tell the actors that the run is over, and give them a moment to leave."""
+        """Send the shutdown notice to all actors, and give them a moment to leave."""
         deadline = time.monotonic() + SHUTDOWN_S
         while True:
             self._hub.finish()
@@ -230,7 +230,7 @@ class TrainingLoop:
             compiled.result()
 
     def _collect(self) -> list[Rollout] | None:
-        """The rollouts of this version; None when the run is asked to stop."""
+        """Wait for the rollouts of this version. Returns None when the run is asked to stop."""
         version = self._trainer.version
         while not self._stop.is_set():
             if (rollouts := self._resumed_replay.logged_rollouts(version) or self._hub.rollouts(TICK_S)) is not None:
@@ -248,7 +248,7 @@ class TrainingLoop:
         self._hub.release_reserved()
         self._show(phase, text)
 
-    # -- what is made of an update -------------------------------------------------------------------------
+    # -- recording and showing -----------------------------------------------------------------------------
 
     def _record(self, update: AppliedUpdate) -> None:
         self._physics |= self._hub.engines()

@@ -53,7 +53,7 @@ def run_learner(
         origin: the state that a new run begins with.
 
     Raises:
-        ReskpnError: anything that keeps the run from going on. The log is closed and whole then.
+        ReskpnError: anything that keeps the run from going on. The log is complete and closed then.
     """
     began_s = time.monotonic()
     require_authentication(settings.transport)

@@ -1,4 +1,4 @@
-"""What the log and whoever watches are told of an evaluation."""
+"""The records of an evaluation, for the log and for those who watch the run."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from common.wire.assessment import Assessment
 
 OF_THE_RUN = "run"
-"""The source of the run's own evaluation at its end; `source_of` gives no such."""
+"""The source of the run's own evaluation at its end; `source_of` never returns it."""
 
 SHOWN = 8
-"""Characters of an incarnation that are told: whoever knows all of it could speak for it."""
+"""Characters of an incarnation that are shown: a process that knew all of it could pose as the evaluator."""
 
 
 def eval_record(
@@ -37,12 +37,12 @@ def eval_record(
 
 
 def source_of(evaluator: str) -> str:
-    """What an evaluator is called in the log and in reports."""
+    """The name of an evaluator in the log and in reports."""
     return f"evaluator-{evaluator[:SHOWN]}"
 
 
 def is_of_the_run(record: Mapping[str, Any]) -> bool:
-    """Whether an `/eval` message is of the run's own evaluation; those of the first release name no source."""
+    """True for an `/eval` message of the run's own evaluation; in logs of the first release it names no source."""
     return record.get("source", OF_THE_RUN) == OF_THE_RUN
 
 

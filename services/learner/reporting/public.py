@@ -1,4 +1,4 @@
-"""What of the learner's records others may see."""
+"""The learner's records as they may be seen by others."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ from common.printable import shortened
 
 
 def public_update(record: Mapping[str, Any]) -> dict[str, Any]:
-    """An `/update` record with incarnations of which only the beginning is told."""
+    """An `/update` record in which incarnations are shortened: whole ones are secrets of their actors."""
     rollouts = [place | {"incarnation": shortened(place["incarnation"])} for place in record["rollouts"]]
     return {**record, "rollouts": rollouts}

@@ -102,6 +102,6 @@ def step_reward(rollouts: Sequence[Rollout]) -> float:
 
 
 def actor_seconds(rollouts: Sequence[Rollout]) -> dict[str, float]:
-    """Seconds the slowest actor spent on each phase of this batch."""
+    """Seconds that the slowest actor spent on each phase of this batch."""
     phases = {name for rollout in rollouts for name in rollout.timing}
     return {name: max(rollout.timing.get(name, 0.0) for rollout in rollouts) for name in sorted(phases)}

@@ -1,4 +1,4 @@
-"""How a run ends: its figures in one file, its last evaluation in the log, and a few lines for a person."""
+"""The end of a run: its figures in one file, its last evaluation in the log, and a few lines on the screen."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Outcome:
 
 
 def conclude(run_dir: Path, log: LogWriter, summary: dict[str, Any], record: dict[str, Any] | None) -> None:
-    """Write what says that the run is over: the summary last. `record`: of the evaluation, unless the log has it.
+    """Write the records that mark the run as over, the summary last. `record`: of the evaluation, unless it is logged.
 
     Raises:
         LogWriteError: the log or the summary cannot be written.
@@ -49,7 +49,7 @@ def conclude(run_dir: Path, log: LogWriter, summary: dict[str, Any], record: dic
     except OSError as error:
         raise LogWriteError(
             f"cannot write {run_dir / SUMMARY}: {error.strerror}. Make room or fix its permissions and resume the run; "
-            "its log is whole"
+            "its log is complete"
         ) from None
 
 
@@ -90,7 +90,7 @@ def _train_return(returns: TrainingReturn) -> tuple[float | None, str | None]:
 
 
 def describe(summary: dict[str, Any], run_dir: Path) -> Iterator[str]:
-    """The summary for a person."""
+    """The summary as lines for the screen."""
     stopped = f"stopped early; the log is complete up to here. Continue with: reskpn train --resume {run_dir}"
     state = "finished" if summary["complete"] else stopped
     speed = summary["env_steps_per_s"]

@@ -1,4 +1,4 @@
-"""Rollouts off the wire, put side by side for one update."""
+"""The batch of one update, assembled from rollouts as they came off the wire."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def assemble(rollouts: Sequence[Rollout]) -> Batch:
 
 
 def _truncated_obs(rollout: Rollout) -> np.ndarray:
-    """For each environment the observation its episode was cut at, [N, O]; zero where none was.
+    """The observation at which each environment's episode was truncated, [N, O]; zero where none was.
 
-    At most one cut an environment: a rollout is not longer than an episode.
+    At most one truncation an environment: a rollout is not longer than an episode.
     """
-    cut = np.zeros_like(rollout.last_obs)
+    truncated = np.zeros_like(rollout.last_obs)
     _, environments = np.nonzero(rollout.truncated)
-    cut[environments] = rollout.truncated_obs
-    return cut
+    truncated[environments] = rollout.truncated_obs
+    return truncated

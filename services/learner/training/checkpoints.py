@@ -1,4 +1,4 @@
-"""Checkpoint files: the whole learner state, written so that a reader finds it whole or not at all.
+"""Checkpoint files: the whole learner state, written so that a reader finds all of it or none.
 
 A file is `checkpoints/<version>.ckpt`: one wire message (msgpack) with schema, run, version, digest and arrays. It is
 written beside, synced and renamed; the newest few are kept. `<version>.env` beside it, of the same form, holds the
@@ -32,7 +32,7 @@ _LIMITS = Limits(max_message=1 << 32, max_bin=1 << 32)
 
 
 def write_checkpoint(run_dir: Path, state: Snapshot) -> Path:
-    """Keep a state, then drop all but the newest few.
+    """Write a state, then delete all but the newest few.
 
     Raises:
         CheckpointError: the file cannot be written; older checkpoints are untouched.
@@ -58,7 +58,7 @@ class KeptEnvironments:
 
 
 def write_environments(run_dir: Path, kept: KeptEnvironments) -> Path:
-    """Keep the environments beside the checkpoint of their version. CheckpointError as `write_checkpoint`."""
+    """Write the environments beside the checkpoint of their version. CheckpointError as `write_checkpoint`."""
     path = run_dir / CHECKPOINTS / f"{kept.version:08d}{ENVIRONMENTS}"
     arrays = {str(slot): np.frombuffer(data, np.uint8) for slot, data in kept.states.items()}
     arrays[_GIVEN] = np.array(kept.given, np.int64)
@@ -86,7 +86,7 @@ def quarantine(checkpoint: Path) -> None:
 
 
 def list_checkpoints(run_dir: Path) -> list[Path]:
-    """All whole checkpoints of a run, oldest first."""
+    """The complete checkpoint files of a run, oldest first."""
     folder = run_dir / CHECKPOINTS
     return sorted(path for path in folder.glob("*.ckpt") if _NAME.fullmatch(path.name))
 
@@ -107,7 +107,7 @@ def read_checkpoint(path: Path) -> Snapshot:
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """The checkpoint files of one run. What cannot be written raises CheckpointError."""
+    """The checkpoint files of one run. CheckpointError where one cannot be written."""
 
     run: str
     run_dir: Path
@@ -152,7 +152,7 @@ def _drop_old(run_dir: Path) -> None:
         if old in complete[-1:]:
             continue
         try:
-            # The environments first: they are never without their checkpoint.
+            # The environments first: a reader that finds them may rely on the checkpoint beside them.
             old.with_suffix(ENVIRONMENTS).unlink(missing_ok=True)
             old.unlink(missing_ok=True)
         except OSError as error:

@@ -1,4 +1,4 @@
-"""Policies as they are published."""
+"""Published policies."""
 
 from __future__ import annotations
 

@@ -38,6 +38,8 @@ def test_what_is_kept_of_an_update(tmp_path: Path) -> None:
         for version, diverged in ((1, (2, 1)), (2, (0, 1))):
             recorder.count(update(version, diverged))
             recorder.write(update(version, diverged), 60.0, episodes_logged=version == 2)
+        # While the run goes on: what is drawn can be looked at.
+        points = [(value, step) for name, value, step in events(tmp_path / "tensorboard") if name == "run/diverged"]
         shown = recorder.progress("training", "", 2, 60.0, 2)
     assert (shown.diverged, shown.train_return, shown.step_reward, shown.centres) == (4, 3.0, 1.0, 4)
     assert (shown.env_steps, shown.total_steps) == (24, 120)
@@ -46,5 +48,4 @@ def test_what_is_kept_of_an_update(tmp_path: Path) -> None:
     records = [message.json() for message in log.messages(["/update"])]
     assert [record["diverged"] for record in records] == [3, 1]
     assert records[0]["progress"] == {"return": 3.0, "step_reward": 1.0, "steps_per_s": 60.0}
-    points = [(value, step) for name, value, step in events(tmp_path / "tensorboard") if name == "run/diverged"]
     assert points == [(3.0, 12), (1.0, 24)]
