@@ -53,7 +53,6 @@ class NativeEngine:
         workers = min(threads or usable_cores(), num_envs)
         self._make_batch = functools.partial(make_batch, model, num_envs, workers)
         self._substeps = substeps
-        self._root = model.body_rootid[1:]
         self._sizes = model.nq, model.nv, model.nu, model.nbody - 1
         self._seconds = 0.0
         # Programs on different threads may share this engine, but a batch serves one caller at a time.
@@ -106,9 +105,10 @@ class NativeEngine:
             arrays = self._arrays
             arrays.load(inputs)
             lost = self._timed(run, arrays.batch)
-            results = arrays.results(self._root)
-        for result in results:
-            result[lost] = np.nan
+            results = arrays.results()
+        if lost.any():
+            for result in results:
+                result[lost] = np.nan
         return results
 
     def _timed(self, run: Callable[[Any], None], batch: Any) -> np.ndarray:
@@ -128,25 +128,35 @@ class _BatchArrays:
 
     def __init__(self, batch: Any) -> None:
         self.batch = batch
-        self._defaults = batch.state.copy()
+        # Steps change these and the inputs; all else in the state stays as it is, or is set to the model's default
+        # by MuJoCo where a simulation diverged.
+        self._carried = [batch.bind(name) for name in ("time", "act", "history", "plugin_state", "plastic")]
+        self._defaults = [field.copy() for field in self._carried]
         self._inputs = [batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qacc_warmstart")]
         self._kinematics = [batch.bind(name) for name in ("xpos", "xquat", "cvel", "subtree_com")]
+        root = batch.model.body_rootid[1:]
+        # A slice, where all bodies belong to one tree, is subtracted without being gathered first.
+        self._root = slice(root[0], root[0] + 1) if (root == root[0]).all() else root
 
     def load(self, inputs: Sequence[Any]) -> None:
         """Set the complete state of each simulation: the defaults and `inputs`."""
-        self.batch.state[:] = self._defaults
+        for field, default in zip(self._carried, self._defaults, strict=True):
+            field[:] = default
         self.batch.warning[:] = 0
         for field, given in zip(self._inputs, inputs, strict=True):
             field[:] = np.asarray(given)
 
-    def results(self, root: np.ndarray) -> tuple[np.ndarray, ...]:
-        """The fields of `bodies_from`, [N, ...] float32; `root` is the root body of each body's tree."""
+    def results(self) -> tuple[np.ndarray, ...]:
+        """The fields of `bodies_from`, [N, ...] float32."""
         qpos, qvel, _, warmstart = self._inputs
         xpos, xquat, cvel, subtree_com = self._kinematics
-        lever = xpos[:, 1:] - subtree_com[:, root]
-        results = qpos, qvel, xpos[:, 1:], xquat[:, 1:], cvel[:, 1:], lever, warmstart
+        frames = xpos[:, 1:]
+        lever = np.subtract(frames, subtree_com[:, self._root], out=np.empty(frames.shape, np.float32))
         # Copies, since the next call overwrites the batch's own arrays.
-        return tuple(result.astype(np.float32) for result in results)
+        q, qd, x, rot, cvel, solved = (
+            array.astype(np.float32, order="C") for array in (qpos, qvel, frames, xquat[:, 1:], cvel[:, 1:], warmstart)
+        )
+        return q, qd, x, rot, cvel, lever, solved
 
 
 def _forward(batch: Any) -> None:
