@@ -19,6 +19,7 @@ import reskpn.supervision.supervisor
 import services.actor.service
 import services.learner.service
 from common.config.settings import RunSettings, Section
+from common.config.sources import PRESETS
 from common.errors import (
     CheckpointError,
     LogReadError,
@@ -115,7 +116,7 @@ def test_help_explains_every_setting(capsys: pytest.CaptureFixture[str], command
             assert f"--{name.replace('_', '-')}" in out
             assert " ".join((field.description or "missing").split()) in words
     assert "--config FILE" in out
-    assert "(paper)" in out
+    assert f"({', '.join(PRESETS)})" in words
     for known in ("inverted_pendulum, hopper", "auto, mjx, native", "reskpn", "dpo", "RESKPN_ALGORITHM__GAMMA"):
         assert known in out
     for meaning in (

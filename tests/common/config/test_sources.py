@@ -12,7 +12,7 @@ import pytest
 from common.config.faults import COMMAND_LINE, ENVIRONMENT, spelled
 from common.config.kinds import written
 from common.config.settings import RunSettings
-from common.config.sources import add_options, load, load_over, parse_json
+from common.config.sources import PRESETS, add_options, load, load_over, parse_json
 from common.config.tree import leaves
 from common.errors import SettingsError
 
@@ -201,7 +201,7 @@ def test_a_file_that_cannot_be_read(tmp_path: Path, name: str, why: str) -> None
     """The reason, and what could be given instead."""
     path = tmp_path / name
     assert refusal(config=str(path)) == (
-        f"--config {path}: cannot be read ({why}); give a YAML file or one of the presets: paper"
+        f"--config {path}: cannot be read ({why}); give a YAML file or one of the presets: {', '.join(PRESETS)}"
     )
 
 
