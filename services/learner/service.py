@@ -86,19 +86,24 @@ def run_learner(
         _tell_of_beginning(resumption, outlets, run_dir, "resumed" if resume else "began_from")
         hub = _make_hub(settings, session, outlets, resumption)
         listener.watch(session, hub.connection_refused)
-        readiness.serve(resumption.run, hub.actors)
+        readiness.serve(resumption.run, hub.is_open)
         replay = ResumedReplay(hub, resumption, outlets.events.add)
         if resumption.arrays is not None:
             trainer.restore(resumption.arrays)
         checkpoints = Checkpoints(resumption.run, run_dir)
         loop = TrainingLoop(settings, trainer, hub, outlets, checkpoints, replay, stop)
         summary = _run_to_its_end(settings, loop, outlets, replay, checkpoints, began_s)
-        if outlets.failures:
-            raise outlets.failures[0]
-        outlets.display.close()
-        for line in describe(summary, run_dir):
-            outlets.display.note(line)
+        _show_summary(summary, outlets, run_dir)
     return 0 if summary["complete"] else INTERRUPTED
+
+
+def _show_summary(summary: dict[str, Any], outlets: Outlets, run_dir: Path) -> None:
+    """Show the summary in place of the display. Raises what ended the log, if anything did."""
+    if outlets.failures:
+        raise outlets.failures[0]
+    outlets.display.close()
+    for line in describe(summary, run_dir):
+        outlets.display.note(line)
 
 
 def _make_hub(settings: RunSettings, session: Session, outlets: Outlets, resumption: Resumption) -> Hub:

@@ -233,7 +233,7 @@ class Soaked:
 
 
 def soak(folder: Path, minutes: float, seed: int) -> Soaked:
-    """Both runs, one after the other, and the comparison."""
+    """Make both runs, one after the other, and compare them."""
     updates = max(20, round(minutes * 60 / PER_PUSH_S))
     options = small_options(updates)
     account = folder / "account.txt"

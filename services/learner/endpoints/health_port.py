@@ -18,18 +18,17 @@ class Readiness:
 
     def __init__(self) -> None:
         self._run = ""
-        self._respond: Callable[[], object] = lambda: None
+        self._responds: Callable[[], bool] = lambda: False
 
-    def serve(self, run: str, respond: Callable[[], object]) -> None:
-        """The run is served from now on. `respond` returns as soon as a request to join would be answered."""
-        self._respond = respond
+    def serve(self, run: str, responds: Callable[[], bool]) -> None:
+        """Answer with this run as soon as `responds` says that requests to join are answered."""
         self._run = run
+        self._responds = responds
 
     def answer(self) -> tuple[int, str]:
         """(HTTP status, a line of text)."""
-        if not self._run:
+        if not self._responds():
             return 503, "the learner is starting"
-        self._respond()
         return 200, f"the learner answers joins for run {self._run}"
 
 

@@ -64,6 +64,7 @@ class Hub:
         self._evaluation: Evaluation | None = None
         self._monitor = RunMonitor(run, settings, time.monotonic())
         self._opened_s = time.monotonic()
+        self._open = False
         # to here.
         self.environments = EnvironmentHandler(
             run, settings, log, self._fleet, self._changed, partial(self._refused, "environment"), logged_environments
@@ -71,15 +72,9 @@ class Hub:
         self.evaluators = EvaluatorHandler(
             run, settings, log, self._fleet, self._changed, partial(self._refused, "assessment"), time.monotonic
         )
+        refused = partial(self._refused, "join")
         self._joins = JoinHandler(
-            run,
-            settings,
-            self._fleet,
-            self._monitor,
-            self.evaluators,
-            self._changed,
-            partial(self._refused, "join"),
-            on_event,
+            run, settings, self._fleet, self._monitor, self.evaluators, self._changed, refused, on_event
         )
         self._rollouts = RolloutHandler(run, settings, log, self._fleet, self._monitor, self._changed)
         self._orders = session.publisher(self._keys.policy_notify, express=True, high_priority=True)
@@ -99,7 +94,13 @@ class Hub:
         session.declare_alive(keys.alive("learner", "learner"))
         session.serve(STATUS, lambda request: request.reply(self.report().encode()))
         session.serve(JOIN, self._joins.on_request)
-        self._opened_s = time.monotonic()
+        with self._changed:
+            self._opened_s, self._open = time.monotonic(), True
+
+    def is_open(self) -> bool:
+        """Whether requests to join are answered; blocks where they would be held up."""
+        with self._changed:
+            return self._open
 
     # -- for the learner's loop ----------------------------------------------------------------------------
 
