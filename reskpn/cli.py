@@ -21,6 +21,7 @@ COMMANDS = {
     "runs": "list the runs of a folder, and delete those that are no longer needed",
     "doctor": "check this machine before a run: versions, devices, memory, disk, port, clock, Zenoh, physics",
     "replay": "verify a recorded run, or use its log: extract, publish, train another learner",
+    "log": "repair the log of a run that was killed, without resuming the run",
     "certs": "make the certificates of a run: an authority, and one for each process",
     "router": "relay messages between a learner and actors that cannot reach it, from a host that both can reach",
     "paper": "list, run and draw the experiments of the paper and of the study",

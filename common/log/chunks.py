@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from io import BytesIO
 from typing import BinaryIO, Protocol
 
+import lz4.frame
+import zstandard
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Channel
 
 from common.log.checksums import crc32
 from common.log.framing import RECORD_HEAD, Frame, damaged, exactly, parse
@@ -22,6 +24,9 @@ from common.log.records import LogMessage
 _HEAD = struct.Struct("<QQQII")  # first time, last time, uncompressed size, CRC, length of the compression's name
 _LENGTH = struct.Struct("<Q")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+MAX_CHUNK_BYTES = 2 << 30
+"""A chunk holds a megabyte and at most one message more, which is far below this; what is larger is not read."""
+
 _COMPRESSIONS = frozenset((b"", b"lz4", b"zstd"))
 
 
@@ -57,6 +62,8 @@ def read_chunk_head(file: BinaryIO, frame: Frame) -> ChunkHead:
     (size,) = _LENGTH.unpack(exactly(file, _LENGTH.size, frame.path))
     if name not in _COMPRESSIONS:
         raise damaged(frame.path, frame.start, f"there is no compression {name!r}")
+    if max(uncompressed, size) > MAX_CHUNK_BYTES:
+        raise damaged(frame.path, frame.start, f"a chunk is said to have {uncompressed} bytes; no learner writes such")
     if fixed + name_size + size != frame.length or (not name and uncompressed != size):
         raise damaged(frame.path, frame.start, "the sizes of a chunk do not agree")
     return ChunkHead(first, last, uncompressed, crc, name.decode(), size)
@@ -119,18 +126,27 @@ def _walk(source: _Source, frame: Frame, size: int) -> tuple[list[tuple[bytes, b
 
 
 def _decompressed(file: BinaryIO, frame: Frame, head: ChunkHead) -> _Source:
-    chunk = Chunk(
-        compression=head.compression,
-        data=exactly(file, head.size, frame.path),
-        message_end_time=head.last_ns,
-        message_start_time=head.first_ns,
-        uncompressed_crc=head.crc,
-        uncompressed_size=head.uncompressed_size,
-    )
+    data = exactly(file, head.size, frame.path)
     try:
-        stream, size = get_chunk_data_stream(chunk)
+        content = _DECOMPRESS[head.compression](data, head.uncompressed_size + 1)
     except Exception as error:  # each decompressor raises its own
         raise damaged(frame.path, frame.start, f"a chunk cannot be decompressed ({error})") from error
-    if size != head.uncompressed_size:
+    if len(content) != head.uncompressed_size:
+        size = len(content) if len(content) < head.uncompressed_size else "more"
         raise damaged(frame.path, frame.start, f"a chunk has {size} bytes, its head says {head.uncompressed_size}")
-    return stream
+    return BytesIO(content)
+
+
+def _lz4(data: bytes, limit: int) -> bytes:
+    """At most `limit` bytes of the content."""
+    content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=limit)
+    return content
+
+
+def _zstd(data: bytes, limit: int) -> bytes:
+    """At most `limit` bytes of the content."""
+    with zstandard.ZstdDecompressor().stream_reader(data) as reader:
+        return bytes(reader.read(limit))
+
+
+_DECOMPRESS = {"lz4": _lz4, "zstd": _zstd}

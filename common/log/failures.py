@@ -23,6 +23,7 @@ _REMEDIES = {
     errno.EPERM: _PERMISSION,
     errno.EROFS: "the file system is read-only: choose another run directory",
     errno.ENOTDIR: "part of the path is a file: choose another run directory",
+    errno.ESTALE: "leave the files of a run that goes on alone: what was in it is lost, restore it from a copy",
     errno.EEXIST: "a file is in its place: choose another run directory",
 }
 

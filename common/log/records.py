@@ -19,6 +19,10 @@ Encoding = Literal["json", "msgpack"]
 Schema = Mapping[str, Any]
 
 
+MAX_JSON_BYTES = 64 << 20
+"""Of one JSON message: parsed, it takes many times its size."""
+
+
 @dataclass(frozen=True)
 class ChannelSpec:
     """One channel of the log. `schema` is a JSON schema for "json" and None for "msgpack"."""
@@ -51,9 +55,13 @@ class LogMessage:
         Raises:
             LogReadError: the bytes are not JSON, as those of /rollout and /policy are not.
         """
+        if len(self.data) > MAX_JSON_BYTES:
+            raise LogReadError(
+                f"message {self.sequence} of {self.topic} has {len(self.data):,} bytes, which no learner writes"
+            )
         try:
             return json.loads(self.data)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise LogReadError(f"message {self.sequence} of {self.topic} is not JSON: {error}") from error
 
 

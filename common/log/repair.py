@@ -66,6 +66,17 @@ def repair(path: Path, lock: LogLock | None = None) -> RepairReport:
         )
 
 
+def describe_repair(report: RepairReport) -> list[str]:
+    """A line for each segment that was repaired."""
+    lines = []
+    for segment in report.segments:
+        kept = f", {segment.dropped_bytes:,} bytes of an incomplete record kept aside in {segment.torn_path}"
+        lines.append(
+            f"repaired {segment.path}: {segment.messages} messages are whole{kept if segment.torn_path else ''}"
+        )
+    return lines
+
+
 def refuse_links(directory: Path) -> None:
     """Raise LogReadError unless everything in a directory is a regular file or directory of this user."""
     try:

@@ -28,6 +28,10 @@ from common.log.segments import unreadable
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, start of its offsets, CRC
 _CRC_BYTES = 4
 _BUFFER_BYTES = 1 << 16  # larger reads pass the buffer by
+MAX_RECORD_BYTES = 1 << 30
+"""Of a record other than a chunk, and of the summary at the end."""
+
+_ZEROS_BYTES = 1 << 20
 _DATA_SECTION = frozenset(
     (
         Opcode.HEADER,
@@ -139,6 +143,8 @@ class SegmentReader:
                 return None
             if not 0 < start <= footer:
                 raise self._damaged(footer, "the footer points outside the file")
+            if self.size - start > MAX_RECORD_BYTES:
+                raise self._damaged(start, "the summary is larger than any learner writes")
             file.seek(start)
             content = exactly(file, self.size - start, self.path)
         if crc32(content[: footer + _FOOTER.size - _CRC_BYTES - start]) != crc:
@@ -165,18 +171,18 @@ class SegmentReader:
                 if frame.opcode == Opcode.CHUNK:
                     return
                 if frame.opcode == opcode:
-                    yield frame, exactly(file, frame.length, self.path)
+                    yield frame, self._small(file, frame)
 
     def _frames(self, file: BinaryIO) -> Iterator[Frame]:
         """The complete records of the data section in order, `file` being at the content of each."""
         start = len(MAGIC)
-        while start + RECORD_HEAD.size <= self.size:
+        while start + RECORD_HEAD.size <= self._end:
             file.seek(start)
             opcode, length = RECORD_HEAD.unpack(exactly(file, RECORD_HEAD.size, self.path))
             frame = Frame(self.path, opcode, start + RECORD_HEAD.size, length)
             if opcode not in _DATA_SECTION or (start == len(MAGIC)) != (opcode == Opcode.HEADER):
                 raise self._damaged(start, f"a record with opcode {opcode} has no place there")
-            if frame.end > self.size:
+            if frame.end > self._end:
                 break
             if opcode == Opcode.HEADER:
                 self._check_header(file, frame)
@@ -188,13 +194,64 @@ class SegmentReader:
         if self.summary is not None:
             raise self._damaged(start, "a record runs past the end of the file")
 
+    @cached_property
+    def _end(self) -> int:
+        """Offset up to which there may be records.
+
+        A file system can leave zeros in the place of what was written last before a loss of power: where a segment
+        without a footer ends in zeros, its last records count only as far as they are whole.
+        """
+        if self.size < len(MAGIC) or self.summary is not None:
+            return self.size
+        with self._opened() as file:
+            zeros = self._start_of_zeros(file)
+            start = len(MAGIC)
+            while start < zeros and start + RECORD_HEAD.size <= self.size:
+                file.seek(start)
+                opcode, length = RECORD_HEAD.unpack(exactly(file, RECORD_HEAD.size, self.path))
+                frame = Frame(self.path, opcode, start + RECORD_HEAD.size, length)
+                if frame.end > self.size or opcode not in _DATA_SECTION:
+                    return self.size
+                if frame.end > zeros and not self._is_whole(file, frame, zeros):
+                    return start
+                start = frame.end
+        return self.size if zeros == self.size else min(self.size, max(start, zeros))
+
+    def _is_whole(self, file: BinaryIO, frame: Frame, zeros: int) -> bool:
+        """True unless the zeros from that offset on are in the place of a part of the record."""
+        if frame.opcode != Opcode.CHUNK:
+            return frame.opcode in (Opcode.MESSAGE_INDEX, Opcode.DATA_END) or frame.end - zeros <= RECORD_HEAD.size
+        try:
+            read_chunk(file, frame, dict.fromkeys(range(1 << 16), ""))
+        except LogReadError:
+            return False
+        return True
+
+    def _start_of_zeros(self, file: BinaryIO) -> int:
+        """Offset of the zeros at the end of the file; its size where it ends otherwise."""
+        end = self.size
+        while end > 0:
+            begin = max(0, end - _ZEROS_BYTES)
+            file.seek(begin)
+            left = exactly(file, end - begin, self.path).rstrip(b"\0")
+            if left:
+                return begin + len(left)
+            end = begin
+        return 0
+
     def _check_header(self, file: BinaryIO, frame: Frame) -> None:
-        header = parse(Header, frame, exactly(file, frame.length, self.path))
+        header = parse(Header, frame, self._small(file, frame))
         if header.profile != PROFILE:
             raise LogReadError(
                 f"{self.path} is of another program: its profile is {header.profile!r}, not {PROFILE!r}; give the log "
                 "of a run"
             )
+
+    def _small(self, file: BinaryIO, frame: Frame) -> bytes:
+        """The content of a record that is read whole."""
+        if frame.length > MAX_RECORD_BYTES:
+            raise self._damaged(frame.start, f"a record is said to have {frame.length} bytes; no learner writes such")
+        return exactly(file, frame.length, self.path)
 
     @contextmanager
     def _opened(self) -> Iterator[BinaryIO]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -37,7 +38,9 @@ class _Output:
     """
 
     def __init__(self, path: Path) -> None:
-        self.file = open(path, "xb", buffering=0)  # noqa: SIM115  (closed by its segment)
+        # Appending, so that a file that another program cuts has another size than was written.
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
+        self.file = open(path, "wb", buffering=0, opener=lambda name, _: os.open(name, flags, 0o666))  # noqa: SIM115
         self.offset = 0
 
     def write(self, data: bytes) -> int:
@@ -100,11 +103,14 @@ class SegmentWriter:
     def commit(self) -> None:
         """Close the chunk and hand all that was added to the operating system: it outlives the process."""
         self._writer.flush()
+        if os.fstat(self._output.file.fileno()).st_size != self._output.offset:
+            raise OSError(errno.ESTALE, "it was changed by another program while it was written")
         self._committed = self._output.offset
 
     def sync(self) -> None:
         """Make what was committed survive a loss of power."""
         os.fdatasync(self._output.file.fileno())
+        self._require_in_place()
 
     def finish(self) -> None:
         """Write summary, indexes and footer, sync and close."""
@@ -124,6 +130,16 @@ class SegmentWriter:
                 self.path.unlink()
         with contextlib.suppress(OSError):
             file.close()
+
+    def _require_in_place(self) -> None:
+        # What is written to a file without a name is lost with the process.
+        try:
+            there = self.path.stat(follow_symlinks=False)
+        except FileNotFoundError:
+            there = None
+        here = os.fstat(self._output.file.fileno())
+        if there is None or (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
+            raise OSError(errno.ESTALE, "it was removed or replaced while it was written")
 
     def _begin(self, metadata: Metadata, attachments: Attachments, t_ns: int) -> None:
         self._writer.start(profile=PROFILE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from common.config.settings import RunSettings
 from common.errors import CodecError, LogReadError
@@ -90,13 +91,13 @@ class UpdateReader:
                 env_steps=int(content["env_steps"]),
                 rollouts=self._window.take(version, keys),
                 state_digest=str(content["state_digest"]),
-                metrics=dict(content["metrics"]),
-                seconds=dict(content["seconds"]),
-                staleness=dict(content["staleness"]),
+                metrics=_numbers(content["metrics"]),
+                seconds=_numbers(content["seconds"]),
+                staleness=_numbers(content["staleness"]),
                 t_ns=message.t_ns,
                 data=message.data,
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise LogReadError(
                 f"message {message.sequence} of /update is not the record of an update ({error!r}); read this log "
                 "with the version that wrote it"
@@ -133,6 +134,14 @@ def _read_rollout(message: LogMessage, shape: RolloutShape) -> Rollout:
     except CodecError as error:
         raise LogReadError(f"message {message.sequence} of /rollout is not a rollout of this run: {error}") from None
     return rollout
+
+
+def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values, which are numbers, or null where one was not finite. TypeError where one is something else."""
+    for name, value in values.items():
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+            raise TypeError(f"{name[:100]} is {type(value).__name__}, not a number")
+    return dict(values)
 
 
 def _ignore(_: Rollout) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from common.config.settings import RunSettings
 from common.config.sources import parse_json
-from common.errors import LogReadError, ReskpnError, SettingsError
+from common.errors import LogReadError, SettingsError
 from common.files import read_text
 from common.log.reader import LogReader
 from common.log.segments import LOG_DIRECTORY, list_segments, unreadable
@@ -25,13 +25,15 @@ class Interrupted:
     """A run directory as it was left.
 
     `complete`: all updates of `settings` were made, and evaluated. `shutdown_pending`: it is complete, but its log was
-    not closed; a learner does that last, after its actors were notified that the run is over.
+    not closed; a learner does that last, after its actors were notified that the run is over. `began_ns`: the time of
+    its first record; 0 where it has none.
     """
 
     run_dir: Path
     settings: RunSettings
     complete: bool
     shutdown_pending: bool
+    began_ns: int
 
 
 def holds_run(run_dir: Path) -> bool:
@@ -61,26 +63,74 @@ def read_interrupted(run_dir: Path) -> Interrupted:
     require_run(run_dir)
     settings = parse_json(_settings_text(run_dir)).model_copy(update={"run_dir": run_dir.absolute()})
     complete = _is_complete(run_dir)
-    return Interrupted(run_dir, settings, complete, complete and _is_open(run_dir))
+    return Interrupted(run_dir, settings, complete, complete and _is_open(run_dir), _began_ns(run_dir))
 
 
-def newest_interrupted(folder: Path, settings: RunSettings) -> Path | None:
-    """The newest run of a folder of runs, if it has these settings and is not complete or its shutdown is pending.
+@dataclass(frozen=True)
+class AutoChoice:
+    """The run that `--resume auto` continues, None to start one, and unfinished runs of these settings passed over."""
 
-    Its address and its directory do not count. None if there is no such run.
+    run_dir: Path | None
+    passed_over: list[Path]
+
+
+def choose_interrupted(folder: Path, settings: RunSettings) -> AutoChoice:
+    """Choose among the runs of a folder that began with these settings the one whose log was begun last.
+
+    It is continued unless it is complete; an older one is not, for its successor was begun on purpose. Addresses,
+    directories and times of files do not count.
+
+    Raises:
+        LogReadError: a run whose log is damaged may be of these settings: starting another one would abandon it.
     """
-    begun = [path for path in folder.glob("*") if holds_run(path)]
-    if not begun:
-        return None
-    newest = max(begun, key=lambda path: path.stat().st_mtime_ns)
+    mine = []
+    for path in sorted(folder.glob("*")):
+        found = _read_candidate(path, settings) if holds_run(path) else None
+        if found is not None:
+            mine.append(found)
+    mine.sort(key=lambda found: (found.began_ns, found.run_dir))
+    unfinished = [found.run_dir for found in mine if found.shutdown_pending or not found.complete]
+    chosen = mine[-1].run_dir if mine and mine[-1].run_dir in unfinished else None
+    return AutoChoice(chosen, [path for path in unfinished if path != chosen])
+
+
+def _read_candidate(path: Path, settings: RunSettings) -> Interrupted | None:
+    """The run in a directory if it has these settings."""
     try:
-        found = read_interrupted(newest)
-    except ReskpnError:
+        found = read_interrupted(path)
+    except SettingsError:
+        return None  # this release does not have its settings, so they are not these
+    except LogReadError as error:
+        if not _beside_says_other(path, settings):
+            raise LogReadError(
+                f"--resume auto: {path} may be the run to continue, but it cannot be read: {error}. Repair it, move it "
+                "away, or name a run with --run-dir"
+            ) from None
         return None
-    places = ("transport.", "run_dir")
-    pairs = _differences(found.settings.model_dump(mode="json"), settings.model_dump(mode="json"))
-    same = all(name.startswith(places) for name, _, _ in pairs)
-    return newest if same and (found.shutdown_pending or not found.complete) else None
+    return found if _same(found.settings, settings) else None
+
+
+def _beside_says_other(path: Path, settings: RunSettings) -> bool:
+    """True if the settings beside a damaged log are readable and others than these."""
+    try:
+        return not _same(parse_json(read_text(path / SETTINGS)), settings)
+    except SettingsError:
+        return True
+    except (OSError, ValueError):
+        return False
+
+
+def _same(recorded: RunSettings, given: RunSettings) -> bool:
+    pairs = _differences(recorded.model_dump(mode="json"), given.model_dump(mode="json"))
+    return all(name.startswith(("transport.", "run_dir", "log.signing_key")) for name, _, _ in pairs)
+
+
+def _began_ns(run_dir: Path) -> int:
+    """Time of the first record of a log; 0 where it has none."""
+    if not list_segments(run_dir / LOG_DIRECTORY):
+        return 0
+    first = next(LogReader(run_dir).messages(), None)
+    return 0 if first is None else first.t_ns
 
 
 def resumed_settings(found: Interrupted, load: Callable[[RunSettings], RunSettings]) -> RunSettings:

@@ -15,8 +15,8 @@ from common.log.segments import LOG_DIRECTORY
 from common.output import say
 from common.runs.directory import RUNS
 from common.runs.resumed_settings import (
+    choose_interrupted,
     holds_run,
-    newest_interrupted,
     read_interrupted,
     require_run,
     resumed_settings,
@@ -109,5 +109,11 @@ def run_to_resume(settings: RunSettings) -> str | None:
     """
     if settings.run_dir is not None:
         return str(settings.run_dir) if holds_run(settings.run_dir) else None
-    newest = newest_interrupted(RUNS, settings)
-    return None if newest is None else str(newest)
+    choice = choose_interrupted(RUNS, settings)
+    for path in choice.passed_over:
+        print(
+            f"{path} has these settings and is not finished, but was begun before another run of them; continue it "
+            f"with --resume {path}",
+            flush=True,
+        )
+    return None if choice.run_dir is None else str(choice.run_dir)

@@ -15,7 +15,7 @@ from common.errors import CodecError, LogReadError
 from common.log.chain import START, ChainCheck
 from common.log.lock import LogLock
 from common.log.reader import LogReader
-from common.log.repair import repair
+from common.log.repair import describe_repair, repair
 from common.log.segments import LOG_DIRECTORY, list_segments
 from common.runs.initial_state import read_initial_state
 from common.wire.rollout import RolloutId
@@ -129,21 +129,15 @@ def chain_of(run_dir: Path) -> str:
 
 def repair_log(run_dir: Path, lock: LogLock | None = None) -> list[str]:
     """Make the torn segments of the log whole; returns a line for each."""
-    notes = []
-    for segment in repair(run_dir, lock).segments:
-        kept = f", {segment.dropped_bytes:,} bytes of an incomplete record kept aside in {segment.torn_path}"
-        notes.append(
-            f"repaired {segment.path}: {segment.messages} messages are whole{kept if segment.torn_path else ''}"
-        )
-    return notes
+    return describe_repair(repair(run_dir, lock))
 
 
 def _read(run_dir: Path, settings: RunSettings) -> LoggedRun:
     try:
         return read_logged_run(run_dir, settings)
-    except (CodecError, KeyError) as error:
+    except (CodecError, KeyError, TypeError, ValueError) as error:
         raise LogReadError(
-            f"the log in {run_dir} cannot be used: {error}; resume it with the release that wrote it"
+            f"the log in {run_dir} cannot be used: {error!r}; resume it with the release that wrote it"
         ) from None
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from common.config.settings import RunSettings
 from common.errors import CheckpointError, CodecError
 from common.wire.messages import Snapshot
+from services.learner.resume.environment_soundness import unsound_environments
 from services.learner.resume.logged_run import LoggedRun
 from services.learner.scheduling.slots import Start
 from services.learner.training.checkpoints import list_checkpoints, quarantine, read_checkpoint, read_environments
@@ -73,7 +74,10 @@ def _restore(path: Path, run: str, settings: RunSettings, logged: LoggedRun) -> 
         )
     if state.version >= settings.updates or settings.mode == "async":
         return RestorePoint(state.version, state.arrays, [])
-    return RestorePoint(state.version, state.arrays, _starts(path, state, settings.actors))
+    starts = _starts(path, state, settings.actors)
+    if unsound := unsound_environments(path):
+        raise _Incomplete(f"{unsound}, so actors would end with them")
+    return RestorePoint(state.version, state.arrays, starts)
 
 
 def _starts(path: Path, state: Snapshot, slots: int) -> list[Start]:

@@ -7,6 +7,7 @@ import contextlib
 import itertools
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -180,3 +181,21 @@ def test_a_segment_that_cannot_be_begun_ends_the_log(tmp_path: Path, read_back: 
     (tmp_path / "00001.mcap").rmdir()
     assert read_back(tmp_path) == [b"0"]
     assert LogReader(tmp_path).torn == []
+
+
+@pytest.mark.parametrize("how", ["removed", "folder removed", "cut"])
+def test_a_log_that_is_taken_away_ends_the_run(tmp_path: Path, how: str) -> None:
+    """With a sentence, not with a run that seems to have finished."""
+    log = LogWriter(tmp_path / "log")
+    log.write("/rollout", b"one" * 1000)
+    log.flush(DEADLINE_S)
+    (path,) = (tmp_path / "log").glob("*.mcap")
+    if how == "cut":
+        os.truncate(path, 100)
+    elif how == "removed":
+        path.unlink()
+    else:
+        shutil.rmtree(tmp_path / "log")
+    log.write("/rollout", b"two")
+    with pytest.raises(LogWriteError, match=r"it was (removed or replaced|changed by another program) while it was wr"):
+        log.close()

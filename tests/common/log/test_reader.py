@@ -256,3 +256,33 @@ def test_a_log_that_was_recompressed_is_read(tmp_path: Path, compression: Compre
             writer.add_message(channel, number, b"%d" % number * 1000, number, sequence=number)
         writer.finish()
     assert data_of(path) == [b"%d" % number * 1000 for number in range(5)]
+
+
+def test_a_chunk_is_not_decompressed_beyond_its_size(tmp_path: Path) -> None:
+    """A head that says less than there is does not decide what is held in memory: the rest is never made."""
+    path = tmp_path / "00000.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file, compression=CompressionType.LZ4)
+        writer.start(profile="reskpn")
+        channel = writer.register_channel("/rollout", "msgpack", 0)
+        writer.add_message(channel, 0, bytes(64 << 20), 0, sequence=0)
+        writer.flush()
+    content = bytearray(path.read_bytes())
+    head = content.index(b"\x03\x00\x00\x00lz4") - 12  # size and CRC come before the name of the compression
+    content[head : head + 8] = (1000).to_bytes(8, "little")
+    path.write_bytes(content)
+    with pytest.raises(LogReadError, match="a chunk has more bytes, its head says 1000"):
+        data_of(path)
+    content[head : head + 8] = (1 << 50).to_bytes(8, "little")
+    path.write_bytes(content)
+    with pytest.raises(LogReadError, match="a chunk is said to have 1125899906842624 bytes"):
+        data_of(path)
+
+
+def test_json_that_is_nested_too_deep_is_an_error_of_the_log(tmp_path: Path) -> None:
+    """Not one of the interpreter."""
+    with LogWriter(tmp_path) as log:
+        log.write("/event", b"[" * 100_000)
+    (message,) = LogReader(tmp_path).messages()
+    with pytest.raises(LogReadError, match="message 0 of /event is not JSON"):
+        message.json()

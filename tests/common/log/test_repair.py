@@ -163,3 +163,39 @@ def test_a_repair_without_room_changes_nothing(small_disk: Path, write_log: Call
     assert path.read_bytes() == before
     assert [len(m.data) for m in LogReader(small_disk).messages()] == [500_000] * 3
     assert names(small_disk) == {"00000.mcap"}
+
+
+@pytest.mark.parametrize("into", [0, 4, 40, 390], ids=["behind", "the last number", "in the data", "most of it"])
+def test_zeros_in_the_place_of_the_last_records(tmp_path: Path, write_log: Callable[..., Path], into: int) -> None:
+    """As a file system leaves them after a loss of power: cut like any torn end, with every record before them."""
+    path = write_log(tmp_path, [400, 500, 600]) / "00000.mcap"
+    ends = chunk_ends(path)
+    content = path.read_bytes()[: ends[1]]
+    path.write_bytes(content[: len(content) - into] + bytes(4096 + into))
+    whole = [400, 500] if into == 0 else [400]
+    assert [len(message.data) for message in LogReader(tmp_path).messages()] == whole
+    (repaired,) = repair(tmp_path).segments
+    assert (repaired.messages, repaired.dropped_bytes > 0) == (len(whole), True)
+    assert [len(message.data) for message in LogReader(tmp_path).messages()] == whole
+    assert LogReader(tmp_path).torn == []
+
+
+def test_zeros_and_then_something_else_is_damage(tmp_path: Path, write_log: Callable[..., Path]) -> None:
+    """No loss of power writes behind its zeros."""
+    path = write_log(tmp_path, [400, 500]) / "00000.mcap"
+    content = path.read_bytes()[: chunk_ends(path)[1]]
+    path.write_bytes(content + bytes(4096) + b"x")
+    with pytest.raises(LogReadError, match="is damaged at byte"):
+        repair(tmp_path)
+
+
+def test_a_torn_file_that_is_a_link_does_not_lead_elsewhere(tmp_path: Path, write_log: Callable[..., Path]) -> None:
+    """What is cut off is put into a new file of that name only; a link there is a reason to stop."""
+    path = write_log(tmp_path / "log", [400, 500]) / "00000.mcap"
+    tear(path, chunk_ends(path)[1] - 1)
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    (tmp_path / "log" / "00000.mcap.torn").symlink_to(victim)
+    with pytest.raises(LogReadError, match="it is a symbolic link, which is not followed"):
+        repair(tmp_path)
+    assert victim.read_text() == "precious"

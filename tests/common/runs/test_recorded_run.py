@@ -218,3 +218,17 @@ def test_a_run_that_branches_is_read(recording: Recording, tmp_path: Path) -> No
     plain = [("/rollout", one.encode()) for one in batch(1)]
     with pytest.raises(LogReadError, match=r"is not a rollout of this run: .*mirror_action"):
         list(open_run(write_log(tmp_path / "y", [spec, *plain, ("/update", update)])).updates())
+
+
+@pytest.mark.parametrize("name", ["metrics", "seconds", "staleness"])
+def test_words_in_the_place_of_numbers(recording: Recording, tmp_path: Path, name: str) -> None:
+    """Are no record of an update: a sentence, wherever they stand."""
+    updates = open_run(write_log(tmp_path, changed_update(recording, 0, **{name: {"x": "much"}}))).updates()
+    with pytest.raises(LogReadError, match=r"is not the record of an update \(TypeError\('x is str, not a number'\)\)"):
+        next(updates)
+
+
+def test_a_path_that_is_too_long() -> None:
+    """A sentence of the log's, as for every other path that cannot be read."""
+    with pytest.raises(LogReadError, match="cannot be read: File name too long"):
+        open_run(Path("x" * 300))

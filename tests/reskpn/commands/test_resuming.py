@@ -177,13 +177,13 @@ def test_a_finished_run_whose_log_is_not_closed(
 def test_a_damaged_log_is_no_reason_to_begin_another_run_in_silence(
     begun: list[Any], newest: Path, complete: bool
 ) -> None:
-    """Zeros at the end of a log, as a loss of power leaves them: who resumes it hears of that. Not if it is over."""
+    """Other bytes at the end of a log: who resumes it hears of that. Not if it is over."""
     (segment,) = (newest / "log").glob("*.mcap")
     os.truncate(segment, segment.stat().st_size - 1)
     (torn,) = LogReader(newest).torn
     os.truncate(segment, torn.good_bytes)
     with segment.open("ab") as file:
-        file.write(bytes(4096))
+        file.write(b"\xff" * 4096)
     with pytest.raises(LogReadError):
         _ = LogReader(newest).torn
     (newest / "summary.json").write_text(json.dumps({"complete": complete}))
@@ -260,3 +260,57 @@ def test_a_run_with_links_in_it_is_not_resumed(
     assert main(["train", "--resume", str(run_dir)]) == 5
     assert "00000.mcap.torn is in the way of resuming or repairing: it is a symbolic link" in capsys.readouterr().err
     assert (begun, (tmp_path / "victim").read_text()) == ([], "precious")
+
+
+def test_auto_chooses_by_what_the_logs_say(begun: list[Any], newest: Path) -> None:
+    """Times of directories change when they are copied or looked into; the older run is named, with its command."""
+    old = newest.with_name("old")
+    os.utime(old, (9000.0, 9000.0))
+    assert main(["learner", "--resume", "auto", *SAME]) == 0
+    assert [(settings.run_dir, resume) for _, settings, resume in begun] == [(newest, True)]
+
+
+def test_auto_names_the_unfinished_run_that_it_passes_over(
+    begun: list[Any], newest: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where a newer one of the same settings is finished, and a new one is begun."""
+    (newest / "summary.json").write_text(json.dumps({"complete": True}))
+    assert main(["learner", "--resume", "auto", *SAME]) == 0
+    assert [resume for _, _, resume in begun] == [False]
+    printed = capsys.readouterr().out
+    assert "runs/old has these settings and is not finished" in printed
+    assert "continue it with --resume runs/old" in printed
+
+
+@pytest.mark.parametrize(("seed", "code"), [("4", 5), ("5", 0)])
+def test_auto_stops_at_a_log_whose_beginning_is_damaged(
+    begun: list[Any], newest: Path, capsys: pytest.CaptureFixture[str], seed: str, code: int
+) -> None:
+    """It may be the run to continue, unless the settings beside it say that it is another."""
+    (segment,) = (newest / "log").glob("*.mcap")
+    settings = LogReader(newest).metadata()["settings"]["json"]
+    segment.write_bytes(b"\x00" + segment.read_bytes()[1:])
+    (newest / "settings.json").write_text(settings)
+    (newest.with_name("old") / "summary.json").write_text(json.dumps({"complete": True}))
+    assert main(["learner", "--resume", "auto", *SAME[:-1], seed]) == code
+    assert ("runs/new may be the run to continue, but it cannot be read" in capsys.readouterr().err) == (code == 5)
+    assert len(begun) == (code == 0)
+
+
+def test_a_path_that_is_too_long_is_a_sentence(begun: list[Any], capsys: pytest.CaptureFixture[str]) -> None:
+    """Not a traceback."""
+    assert main(["train", "--resume", "x" * 300]) == 5
+    assert "cannot be read: File name too long" in capsys.readouterr().err
+
+
+def test_a_log_is_repaired_without_resuming(run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """So that other programs can read its last file; a second time there is nothing to do."""
+    (segment,) = (run_dir / "log").glob("*.mcap")
+    os.truncate(segment, segment.stat().st_size - 1)
+    assert main(["log", "repair", str(run_dir)]) == 0
+    assert f"repaired {segment}: 0 messages are whole" in capsys.readouterr().out
+    assert not LogReader(run_dir).torn
+    assert main(["log", "repair", str(run_dir)]) == 0
+    assert "every file of the log has its end; nothing was to be repaired" in capsys.readouterr().out
+    with LogLock(run_dir / "log"):
+        assert main(["log", "repair", str(run_dir)]) == 5

@@ -92,7 +92,7 @@ def test_the_log_has_the_state_and_its_origin(states: Any, tmp_path: Path) -> No
     origin = Origin(RUN, 3, states[1][3])
     begin_from(origin, trainer)
     state = make_snapshot("new-run", 0, trainer.state_arrays())
-    with open_outlets("new-run", given, tmp_path, threading.Event(), None, Beginning(origin.record, state)):
+    with open_outlets("new-run", given, tmp_path, threading.Event(), beginning=Beginning(origin.record, state)):
         pass
     log = LogReader(tmp_path)
     kept = read_initial_state(log)

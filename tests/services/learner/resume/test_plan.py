@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -196,6 +197,29 @@ def test_without_environments_the_one_before(tmp_path: Path) -> None:
     found = resumed(tmp_path)
     assert found.version == 3
     assert "not from checkpoint 00000006.ckpt: the actors had not handed in their environments" in found.notes
+    assert path.exists()
+
+
+@pytest.mark.parametrize(
+    ("q", "what"),
+    [
+        (np.zeros(4, np.float32), r"q is float32 \[4\]"),
+        (np.zeros(3, np.float64), r"q is float64 \[3\]"),
+        (np.array([0, np.nan, 0], np.float32), r"q is float32 \[3\], not all of it finite"),
+    ],
+    ids=["shape", "dtype", "not finite"],
+)
+def test_environments_that_no_actor_could_go_on_with(tmp_path: Path, q: np.ndarray, what: str) -> None:
+    """An actor handed in other arrays than the run's: the checkpoint before is taken, and it is said why."""
+    write_log(tmp_path, 7)
+    keep(tmp_path, 3)
+    path = keep(tmp_path, 6)
+    wrong = Environment(RUN, 1, "b", 0, 6, 6, digest_arrays({"q": q}), {"q": q}).encode()
+    write_environments(tmp_path, KeptEnvironments(RUN, 6, (1, 1), {0: environment(0, 6), 1: wrong}))
+    found = resumed(tmp_path)
+    assert found.version == 3
+    (note,) = (note for note in found.notes if note.startswith("not from checkpoint 00000006.ckpt"))
+    assert re.search(rf"the environments of slot 1 are not as the others of the run \({what}\)", note)
     assert path.exists()
 
 
