@@ -15,7 +15,7 @@ INVERTED_PENDULUM := --num-envs 1024 --num-steps 20 --total-steps 1.5e6
 CHAOS_POINTS ?= 20
 CHAOS_SEED ?=
 
-.PHONY: help setup train test test-chaos test-docker test-hosts lint bench lock clean
+.PHONY: help setup train test test-chaos test-docker test-hosts lint bench paper-smoke lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -49,6 +49,11 @@ lint: setup  ## style, types and import rules
 bench: setup  ## speed of the service, where the time goes, and what the RKHS part costs; ARGS="--task humanoid" UPDATE_ARGS="--only rff"
 	@$(BIN)/python -m benchmarks.service $(ARGS)
 	@$(BIN)/python -m benchmarks.update $(UPDATE_ARGS)
+
+paper-smoke: setup  ## every experiment of the paper, very small, run and drawn: whether all of it works, in a few minutes
+	@rm -rf build/paper-smoke
+	@JAX_DISABLE_MOST_OPTIMIZATIONS=1 $(BIN)/reskpn paper run --scale smoke --here --results build/paper-smoke/results
+	@$(BIN)/reskpn paper draw --scale smoke --results build/paper-smoke/results --out build/paper-smoke/drawn
 
 lock: COMPILE := $(BIN)/uv pip compile -q --python-version 3.11 --universal --generate-hashes --no-emit-index-url --no-header
 lock:  ## pin the requirements anew

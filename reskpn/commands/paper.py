@@ -34,7 +34,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     running.add_argument("--seeds", type=int, nargs="+", metavar="SEED", help="only runs with these seeds")
     drawing.add_argument("--out", type=Path, default=OUT, metavar="DIR", help=f"default: {OUT}")
     drawing.add_argument("--into", type=Path, metavar="FILE", help="also put them between the marks of this document")
-    running.add_argument("--service", action="store_true", help="train through learner and actor processes, with logs")
+    where = running.add_mutually_exclusive_group()
+    where.add_argument("--service", action="store_true", help="train through learner and actor processes, with logs")
+    where.add_argument("--here", action="store_true", help="train in this process: quicker for many small runs")
 
 
 def run(given: argparse.Namespace) -> int:
@@ -58,13 +60,13 @@ def _list(given: argparse.Namespace) -> int:
 
 def _run(given: argparse.Namespace) -> int:
     from reskpn.study.experiments import load_catalogue
-    from reskpn.study.running import in_process
+    from reskpn.study.running import here, in_process
     from reskpn.study.session import make_runs
     from reskpn.study.store import Store
     from reskpn.study.through_service import through_service
 
-    if given.jobs < 1:
-        raise SettingsError(f"--jobs is {given.jobs}; allowed: 1 or more")
+    if given.jobs < 1 or (given.here and given.jobs > 1):
+        raise SettingsError(f"--jobs is {given.jobs}; allowed: 1 or more, and 1 with --here")
     catalogue, store = load_catalogue(), Store(given.results)
     only = {"task": given.tasks, "seed": given.seeds}
     made = make_runs(
@@ -75,7 +77,7 @@ def _run(given: argparse.Namespace) -> int:
         only={name: values for name, values in only.items() if values},
         jobs=given.jobs,
         say=lambda text: print(text, flush=True),
-        runner=through_service if given.service else in_process,
+        runner=through_service if given.service else here if given.here else in_process,
     )
     print(f"{made} runs made, {len(store)} results in {given.results}")
     return 0

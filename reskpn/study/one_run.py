@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -36,15 +37,19 @@ TELL_S = 2.0
 def main() -> int:
     """Make the run, and exit with the code of the error's class if it fails."""
     try:
-        write_result(run(parse_json(sys.stdin.read())), Path(sys.argv[1]))
+        write_result(run(parse_json(sys.stdin.read()), _tell), Path(sys.argv[1]))
     except ReskpnError as error:
         print(error, file=sys.stderr)
         return error.exit_code
     return 0
 
 
-def run(settings: RunSettings) -> Result:
-    """Train by these settings in this process, and evaluate the final policy."""
+def run(settings: RunSettings, tell: Callable[[Curve, int], None] = lambda curve, updates: None) -> Result:
+    """Train by these settings in this process, and evaluate the final policy.
+
+    Args:
+        tell: called every few seconds with the curve so far and the number of updates.
+    """
     prepare()
     work, curve = InProcess(settings), Curve(settings.batch_size)
     seconds: dict[str, float] = {}
@@ -56,7 +61,7 @@ def run(settings: RunSettings) -> Result:
             seconds[phase] = seconds.get(phase, 0.0) + spent_s
         if time.monotonic() - told_s > TELL_S:
             told_s = time.monotonic()
-            _tell(curve, settings.updates)
+            tell(curve, settings.updates)
     wall_s, cpu_s = time.perf_counter() - began_s, time.process_time() - cpu_began_s
     timing = Timing(
         wall_s=round(wall_s, 3),

@@ -13,10 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from common.config.settings import RunSettings
-from common.errors import LogWriteError, ProcessError
+from common.errors import LogWriteError, ProcessError, ReskpnError
 from reskpn.study.planning import Trial
 from reskpn.study.scoring import area_of, final_of
 from reskpn.study.store import Store
+from reskpn.study.writing import write_result
 
 TELL_S = 60.0
 """How often a person is told what is in work."""
@@ -178,6 +179,22 @@ def in_process(settings: RunSettings, path: Path, work: Work) -> None:
                 work.steps = json.loads(line)["update"] * settings.batch_size
         reader.join()
     check_exit(process.returncode, errors)
+
+
+def here(settings: RunSettings, path: Path, work: Work) -> None:
+    """Make one run within this process: for many small ones, whose processes would take longer to start than to work.
+
+    Raises:
+        LogWriteError: the result could not be written.
+        ProcessError: the run failed.
+    """
+    from reskpn.study.one_run import run
+
+    try:
+        result = run(settings)
+    except ReskpnError as error:
+        raise ProcessError(str(error)) from None
+    write_result(result, path)
 
 
 def check_exit(code: int, errors: Sequence[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
@@ -11,6 +12,12 @@ from reskpn.study.recorded import RunRecord, result_of
 from reskpn.study.report import pictures
 
 MOST_EVENTS = 40
+
+INCARNATION = re.compile(r"\b([0-9a-f]{8})[0-9a-f]{16,}\b")
+"""Whoever knows all of an incarnation could speak for it while the run goes on: the page has its beginning."""
+
+PRIVATE = {"run_dir", "transport"}
+"""Settings that say where a run is kept and reached: a page is for sending."""
 
 STYLE = """
 :root { color-scheme: light; }
@@ -24,6 +31,7 @@ figcaption { color: #444; font-size: .9rem; }
 table { border-collapse: collapse; font-size: .85rem; }
 th, td { text-align: left; padding: .15rem .7rem .15rem 0; border-bottom: 1px solid #ddd; vertical-align: top;
   overflow-wrap: anywhere; }
+th:first-child, td:first-child { white-space: nowrap; overflow-wrap: normal; }
 code { font-size: .95em; }
 details > summary { cursor: pointer; font-weight: 600; margin-top: 1.2rem; }
 @media print { body { max-width: none; padding: 0; font-size: 11px; } .pictures { grid-template-columns: 1fr 1fr; }
@@ -103,7 +111,11 @@ def _number(value: float | None) -> str:
 
 
 def _events(records: Sequence[RunRecord]) -> str:
-    rows = [[f"{at_s:,.1f} s", record.run, text] for record in records for at_s, text in record.events[:MOST_EVENTS]]
+    rows = [
+        [f"{at_s:,.1f} s", record.run, INCARNATION.sub(r"\1...", text)]
+        for record in records
+        for at_s, text in record.events[:MOST_EVENTS]
+    ]
     left = sum(max(0, len(record.events) - MOST_EVENTS) for record in records)
     more = f"<p>{left} later events are in the logs.</p>" if left else ""
     return "<h2>Events</h2>" + (_table(["time", "run", "event"], rows) if rows else "<p>none</p>") + more
@@ -111,8 +123,8 @@ def _events(records: Sequence[RunRecord]) -> str:
 
 def _settings(records: Sequence[RunRecord]) -> str:
     """All settings, those first in which a run differs from the defaults or from another run."""
-    defaults = _leaves(RunSettings().model_dump(mode="json"))
-    trees = [_leaves(record.settings.model_dump(mode="json")) for record in records]
+    defaults = _leaves(RunSettings().model_dump(mode="json", exclude=PRIVATE))
+    trees = [_leaves(record.settings.model_dump(mode="json", exclude=PRIVATE)) for record in records]
     header = ["setting", *(record.run for record in records)]
 
     def row(name: str) -> list[str]:

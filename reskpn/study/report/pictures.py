@@ -16,6 +16,9 @@ from reskpn.study.results import NO_EPISODE_ENDS
 
 WIDTH_INCHES, HEIGHT_INCHES = 6.4, 2.6
 
+LONGEST_OF_TWO = 26
+"""Characters of the longest name in a legend of two columns, which is as wide as the picture."""
+
 MOST_POINTS = 400
 """Points of a line: more than a page can show."""
 
@@ -118,14 +121,15 @@ def _colour(number: int) -> dict[str, Any]:
 
 def _svg(draw: Callable[[Axes], None], lines: int) -> str:
     """The picture that `draw` makes, its legend below it where it would cover no curve."""
-    rows = -(-lines // 2)
+
     with style():
-        figure = Figure(figsize=(WIDTH_INCHES, HEIGHT_INCHES + 0.2 * rows), layout="constrained")
+        figure = Figure(figsize=(WIDTH_INCHES, HEIGHT_INCHES + 0.2 * lines), layout="constrained")
         axis = figure.subplots()
         draw(axis)
         handles, labels = axis.get_legend_handles_labels()
         if handles:
-            figure.legend(handles, labels, loc="outside lower center", ncols=2)
+            columns = 2 if max(map(len, labels)) <= LONGEST_OF_TWO else 1
+            figure.legend(handles, labels, loc="outside lower center", ncols=columns)
         out = io.StringIO()
         figure.savefig(out, format="svg", metadata={"Date": None})
     text = out.getvalue()

@@ -32,7 +32,7 @@ def record(run: str = "one", updates: int = 4) -> RunRecord:
         timeline.staleness.append(0.0)
     metadata = {"run": {"commit": "abc"}, "versions": {"jax": "0.10.2"}, "hardware": {"cpu": "x", "host": "secret"}}
     final = {"env_steps": 640.0 * updates, "return_mean": 30.0, "return_std": 2.0, "source": "run"}
-    events = [(0.5, "an actor <joined>")]
+    events = [(0.5, "an actor <joined>: 0123456789abcdef0123456789abcdef")]
     return RunRecord(run, SETTINGS, curve, timeline, metadata, "feed", [final], events)
 
 
@@ -59,11 +59,21 @@ def test_a_page_loads_nothing() -> None:
 
 
 def test_a_page_shows_the_run() -> None:
-    """Scores of the curve (10..23, last update 13 and 23), digest, settings, versions, events; not the host's name."""
+    """Scores of the curve (10..23, last update 13 and 23), digest, settings, versions, events; not where the run is."""
     text = page([record()])
-    for shown in ("18.0", "16.5", "feed", "0.10.2", "an actor &lt;joined&gt;", "rkhs.bandwidth", "4 of 4", "hopper"):
+    for shown in (
+        "18.0",
+        "16.5",
+        "feed",
+        "0.10.2",
+        "an actor &lt;joined&gt;: 01234567...",
+        "rkhs.bandwidth",
+        "4 of 4",
+        "hopper",
+    ):
         assert shown in text, shown
-    assert "secret" not in text
+    for private in ("secret", "89abcdef", "transport.endpoint", "run_dir"):
+        assert private not in text, private
     assert text.count("<figure>") == 7  # return, variance, centres, KL, std, staleness, timeline; no norm was measured
 
 

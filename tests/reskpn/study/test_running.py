@@ -109,7 +109,7 @@ def test_a_real_run_leaves_a_result(
 
     monkeypatch.setattr(one_run, "prepare", lambda: None)  # the tests have prepared JAX
     trial = plan(catalogue["widths"], "smoke", catalogue, store).trials[0]
-    small = {"total_steps": 3 * 64, "num_envs": 8, "num_steps": 8, "episode_length": 10}
+    small = {"total_steps": 3 * 64, "num_envs": 8, "num_steps": 8, "episode_length": 10, "evaluation": {"episodes": 2}}
     settings = RunSettings.model_validate(trial.settings.model_dump() | small)
     result = one_run.run(settings)
     assert result.curve["env_steps"] == [64.0, 128.0, 192.0]
