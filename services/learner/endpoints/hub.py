@@ -48,9 +48,7 @@ class Hub:
         starts: Sequence[Start] = (),
         logged_environments: Collection[tuple[int, int, int]] = (),
     ) -> None:
-        """`on_event(level, name, text)` reports events for a person; it must not block. A resumed run's slots go on at
-        `starts`; its log has the `logged_environments` (version, slot, generation).
-        """
+        """`on_event(level, name, text)` must not block; `logged_environments`: (version, slot, generation) of each."""
         self._run = run
         self._settings = settings
         self._session = session
