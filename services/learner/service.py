@@ -5,7 +5,8 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -75,21 +76,17 @@ def run_learner(
         resumption = _resume(settings, run_dir, lock, skip_batch=skip_batch) if resume else None
         write_settings(run_dir, settings)
         resumption = resumption or _new_run(settings, origin, chain_of(run_dir))
+        if resumption.arrays is not None:
+            trainer.restore(resumption.arrays)
         beginning = None if origin is None else _beginning(origin, resumption.run, trainer)
-        outlets = stack.enter_context(
-            open_outlets(
-                resumption.run, settings, run_dir, stop, chain=resumption.chain, lock=lock, beginning=beginning
-            )
-        )
-        for note in notes:
-            outlets.events.add("info", "resumed", note)
-        _tell_of_beginning(resumption, outlets, run_dir, "resumed" if resume else "began_from")
+        outlets = stack.enter_context(_outlets(settings, run_dir, stop, resumption, lock, beginning))
+        for note in (*notes, *resumption.notes):
+            outlets.events.add("info", "resumed" if resume else "began_from", note)
+        restore_points(outlets.scalars, run_dir)
         hub = _make_hub(settings, session, outlets, resumption)
         listener.watch(session, hub.connection_refused)
         readiness.serve(resumption.run, hub.is_open)
         replay = ResumedReplay(hub, resumption, outlets.events.add)
-        if resumption.arrays is not None:
-            trainer.restore(resumption.arrays)
         checkpoints = Checkpoints(resumption.run, run_dir)
         loop = TrainingLoop(settings, trainer, hub, outlets, checkpoints, replay, stop)
         summary = _run_to_its_end(settings, loop, outlets, replay, checkpoints, began_s)
@@ -160,12 +157,21 @@ def _new_run(settings: RunSettings, origin: Origin | None, chain: str) -> Resump
     return Resumption(run, notes=[note], chain=chain)
 
 
-def _tell_of_beginning(resumption: Resumption, outlets: Outlets, run_dir: Path, name: str) -> None:
-    if resumption.set_aside is not None:
-        outlets.log.write("/set_aside", resumption.set_aside)
-    restore_points(outlets.scalars, run_dir)
-    for note in resumption.notes:
-        outlets.events.add("info", name, note)
+@contextmanager
+def _outlets(
+    settings: RunSettings,
+    run_dir: Path,
+    stop: threading.Event,
+    resumption: Resumption,
+    lock: LogLock,
+    beginning: Beginning | None,
+) -> Iterator[Outlets]:
+    """The outlets of the run, and in its log the batch that is set aside from now on."""
+    run, chain = resumption.run, resumption.chain
+    with open_outlets(run, settings, run_dir, stop, chain=chain, lock=lock, beginning=beginning) as outlets:
+        if resumption.set_aside is not None:
+            outlets.log.write("/set_aside", resumption.set_aside)
+        yield outlets
 
 
 def _beginning(origin: Origin, run: str, trainer: Trainer) -> Beginning:
