@@ -1,6 +1,7 @@
 """The speed of the physics engines and the agreement between them: the tables of docs/physics.md.
 
     python -m benchmarks.physics --tasks hopper --physics native --num-envs 2048
+    python -m benchmarks.physics --tasks hopper humanoid --bare
     python -m benchmarks.physics --tasks hopper --agreement
 
 Prints Markdown. Speed is the fastest of several rollouts with random actions, after one for warm-up; the machine should
@@ -15,16 +16,22 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from mujoco.batch import Batch
 
 from benchmarks.machine import describe, machine
+from common.cores import usable_cores
 from common.errors import ReskpnError
 from common.physics.engines import MJX, NATIVE, PHYSICS, require_synchronous_dispatch
 from common.physics.environments import BatchedEnvironment, EnvState, Transition, make_environment
+from common.physics.models import c_model, load_task
 from common.tasks import TASKS
+
+BARE_KEY = 99
 
 MARKS = (1, 10, 50, 100)
 """Numbers of steps after which the drift between the engines is reported."""
@@ -93,6 +100,55 @@ def speed_table(options: argparse.Namespace) -> Iterator[str]:
             )
 
 
+def bare_ratio(task: str, options: argparse.Namespace) -> tuple[float, float, float]:
+    """Environment steps/s of the native engine and of `mujoco.batch` alone, and the median ratio over the rounds.
+
+    In each round both make the same rollout in turn: the batch starts from the environments' states and is given the
+    same commands. It resets nothing, so that its simulations differ from the environments' after an episode has ended.
+    """
+    env = make_environment(task, NATIVE, num_envs=options.num_envs, threads=options.threads)
+    source = load_task(task)
+    batch = Batch(c_model(source), options.num_envs, min(options.threads or usable_cores(), options.num_envs))
+    rollout = jax.jit(lambda state, actions: jax.lax.scan(env.step, state, actions)[0])
+    state = env.reset(jax.random.key(0))
+    total, rounds = env.num_envs * options.steps, []
+    for number in range(options.repeats + 1):
+        actions = random_actions(env, jax.random.key(BARE_KEY + number), options.steps)
+        commands = np.asarray(commands_of(source, actions), np.float64)
+        bare_s = bare_seconds(batch, state, commands, source._n_frames)
+        began_s = time.perf_counter()
+        state = jax.block_until_ready(rollout(state, actions))
+        rounds.append((time.perf_counter() - began_s, bare_s))
+    own, bare = np.array(rounds[1:]).T  # the first round compiles
+    return total / float(np.median(own)), total / float(np.median(bare)), float(np.median(bare / own))
+
+
+def bare_seconds(batch: Batch, state: EnvState, commands: np.ndarray, substeps: int) -> float:
+    """Seconds in which the batch makes the steps under `commands` [T, N, nu] from the environments' states."""
+    batch.qpos, batch.qvel = np.asarray(state.bodies.q), np.asarray(state.bodies.qd)
+    batch.qacc_warmstart = np.asarray(state.bodies.warmstart)
+    began_s = time.perf_counter()
+    for command in commands:
+        batch.ctrl = command
+        batch.step(nstep=substeps)
+    return time.perf_counter() - began_s
+
+
+def commands_of(source: Any, actions: jax.Array) -> jax.Array:
+    """The actuator commands [T, N, nu] for actions [T, N, A], scaled to the actuators' range as brax's tasks do."""
+    low, high = source.sys.actuator.ctrl_range.T
+    return (actions + 1) * (high - low) * 0.5 + low
+
+
+def bare_table(options: argparse.Namespace) -> Iterator[str]:
+    """One row per task: the native engine in the product beside MuJoCo's batch alone."""
+    yield "| task | envs | native, env steps/s | mujoco.batch alone | ratio, median of rounds |"
+    yield "|---|---|---|---|---|"
+    for task in options.tasks:
+        own, bare, ratio = bare_ratio(task, options)
+        yield f"| {task} | {options.num_envs} | {own:,.0f} | {bare:,.0f} | {ratio:.2f} |"
+
+
 def drift(native: BatchedEnvironment, mjx: BatchedEnvironment, actions: jax.Array) -> Iterator[tuple[int, np.ndarray]]:
     """Both engines from one start under the same actions; at each of `MARKS`: the largest difference in the
     observation of each environment [n], for those that are still in their first episode with both."""
@@ -148,6 +204,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--threads", type=int, default=0, help="of the native engine; 0: one for each core")
     parser.add_argument("--steps", type=int, default=10, help="steps in a rollout")
     parser.add_argument("--repeats", type=int, default=10, help="rollouts that are timed")
+    parser.add_argument("--bare", action="store_true", help="compare the native engine with mujoco.batch alone")
     parser.add_argument("--agreement", action="store_true", help="compare the engines instead of timing them")
     options = parser.parse_args(arguments)
     options.num_envs = options.num_envs or (64 if options.agreement else 2048)
@@ -156,7 +213,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for line in describe(machine()):
             print(line)
         print()
-        for line in agreement_table(options) if options.agreement else speed_table(options):
+        table = agreement_table if options.agreement else bare_table if options.bare else speed_table
+        for line in table(options):
             print(line, flush=True)
     except ReskpnError as error:
         print(error, file=sys.stderr)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 from dataclasses import asdict
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import learning, one_process, reference, service
+from benchmarks import learning, one_process, physics, reference, service
 from benchmarks.processes import bare_environment, run_module
 from common.errors import ProcessError, SettingsError
 from common.maths import objectives, returns
@@ -261,3 +262,14 @@ def test_results_that_are_there_are_not_made_again(tmp_path: Path, monkeypatch: 
     assert made == ["benchmarks.one_process"]
     with pytest.raises(SettingsError, match="is of another trial"):
         learning.result_of(learning.Trial("own", "hopper", "ppo", "native", 2048, 3_000_000, 0), tmp_path)
+
+
+def test_the_native_engine_beside_mujocos_batch_alone() -> None:
+    """Both make the same steps in turn; the ratio is theirs, round by round."""
+    options = argparse.Namespace(num_envs=8, threads=1, steps=3, repeats=3, tasks=["inverted_pendulum"])
+    head, _, row = physics.bare_table(options)
+    assert head == "| task | envs | native, env steps/s | mujoco.batch alone | ratio, median of rounds |"
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[:2] == ["inverted_pendulum", "8"]
+    assert all(float(cell.replace(",", "")) > 0 for cell in cells[2:4])
+    assert 0.0 <= float(cells[4]) < 5.0
