@@ -185,7 +185,7 @@ def test_commands_are_those_there_are(documents: list[Document], monkeypatch: py
     for service in SERVICES:
         name = f"services.{service}.service.run_{service}"
         monkeypatch.setattr(name, lambda *_, service=service, **__: called.append(service) or 0)
-    monkeypatch.setattr("reskpn.cli.run_to_resume", lambda _: None)
+    monkeypatch.setattr("reskpn.commands.learner.run_to_resume", lambda _: None)
     for service in SERVICES:
         assert cli.main(container(workloads(documents)[service])["args"]) == 0
     assert called == list(SERVICES)
