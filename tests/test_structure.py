@@ -87,3 +87,76 @@ def test_ways_to_unpickle_are_found(source: str) -> None:
 def test_what_does_not_unpickle_is_left_alone() -> None:
     """Words in texts, and NumPy told not to."""
     assert not unpickling("import json\ntext = 'import pickle'\nnp.load(file, allow_pickle=False)\n")
+
+
+PRODUCT = ("common", "reskpn", "services")
+LONGEST_FILE = 300
+LONGEST_FUNCTION = 60
+
+
+def product_modules() -> Iterator[tuple[str, str, ast.Module]]:
+    """Path, text and syntax tree of every module that is installed."""
+    for folder in PRODUCT:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            text = path.read_text("utf-8")
+            yield str(path.relative_to(ROOT)), text, ast.parse(text)
+
+
+def test_files_and_functions_are_of_a_size_that_a_reader_can_hold() -> None:
+    """At most 300 lines a file, 60 a function."""
+    long_files = [path for path, text, _ in product_modules() if text.count("\n") > LONGEST_FILE]
+    long_functions = [
+        f"{path}:{node.lineno} {node.name}"
+        for path, _, tree in product_modules()
+        for node in ast.walk(tree)
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+        and (node.end_lineno or node.lineno) - node.lineno + 1 > LONGEST_FUNCTION
+    ]
+    assert not long_files
+    assert not long_functions
+
+
+def test_docstrings_open_with_what_the_thing_returns_or_does() -> None:
+    """An imperative or a noun phrase: no question words."""
+    question_words = {"What", "Whether", "Who", "Whose", "How", "Why"}
+    found = [
+        f"{path}:{getattr(node, 'lineno', 1)}: {docstring.splitlines()[0]}"
+        for path, _, tree in product_modules()
+        for node in ast.walk(tree)
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef))
+        and (docstring := ast.get_docstring(node)) is not None
+        and docstring.split(maxsplit=1)[0].strip(",.:") in question_words
+    ]
+    assert not found, "\n".join(found)
+
+
+def rooms_of_services() -> dict[str, set[str]]:
+    """Imports between the rooms of `services/`; inside the learner each folder or file is a room of its own."""
+
+    def room(module: str) -> str:
+        parts = module.split(".")
+        return ".".join(parts[: 3 if parts[1] == "learner" else 2])
+
+    imports: dict[str, set[str]] = {}
+    for path, _, tree in product_modules():
+        module = path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
+        if not module.startswith("services.") or module in ("services.learner",):
+            continue
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("services."):
+                found = imports.setdefault(room(module), set())
+                found |= {room(node.module or "")} - {room(module)}
+    return imports
+
+
+def test_services_are_a_few_rooms_on_a_few_floors_without_a_circle() -> None:
+    """At most 14 rooms at the first two levels, at most 6 levels of imports, no circle."""
+    imports = rooms_of_services()
+    rooms = set(imports) | {imported for found in imports.values() for imported in found}
+
+    def floor(room: str, above: tuple[str, ...] = ()) -> int:
+        assert room not in above, f"a circle of imports: {' -> '.join((*above, room))}"
+        return 1 + max((floor(imported, (*above, room)) for imported in imports.get(room, ())), default=0)
+
+    assert len(rooms) <= 14, sorted(rooms)
+    assert max(map(floor, rooms)) <= 6
