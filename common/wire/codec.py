@@ -34,7 +34,7 @@ _MIB = 1 << 20
 
 @dataclass(frozen=True)
 class Limits:
-    """What one message may hold at most; msgpack's extension types are not allowed at all.
+    """Upper bounds on the content of one message; msgpack's extension types are not allowed at all.
 
     `max_message`, `max_bin` and `max_str` are bytes, `max_array` and `max_map` the elements of one list or map, and
     `max_items` the elements of all lists and maps of a message together: a small element costs Python fifty times

@@ -1,4 +1,4 @@
-"""Whether an open session has a connection: waiting for one, and saying why there is none."""
+"""Connections of an open session: waits for one, and explains why there is none."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def wait_connected(session: Any, connect: Sequence[str], timeout_s: float, crede
 
 
 def is_connected(session: Any) -> bool:
-    """Whether a Zenoh session has a connection to a peer or a router."""
+    """True if a Zenoh session has a connection to a peer or a router."""
     return bool(session.info.peers_zid() or session.info.routers_zid())
 
 

@@ -1,4 +1,4 @@
-"""Who a process is, and how it knows whom it talks to: certificates, users and passwords, as files.
+"""Credentials of a process and of its peers: certificates, users and passwords, as files.
 
 A folder of certificates holds `ca.crt`, `tls.crt` and `tls.key` (PEM), as Kubernetes names them in a secret.
 The name in a certificate (its common name), or else the user's, is what access control goes by.
@@ -45,7 +45,7 @@ class Credentials:
         return cls(transport.certificates, transport.users)
 
     def authenticate(self, endpoint: str) -> bool:
-        """Whether a listener there with these knows who connects. SessionError for what is not an address."""
+        """True if a listener there with these authenticates its peers. SessionError for what is not an address."""
         encrypted = Endpoint.parse(endpoint).protocol in _ENCRYPTED
         return self.users is not None or (self.certificates is not None and encrypted)
 

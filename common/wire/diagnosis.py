@@ -25,7 +25,7 @@ def plain(error: Exception) -> str:
 
 
 def no_connection(connect: Sequence[str], timeout_s: float, credentials: Credentials) -> str:
-    """What to say when a connection did not come about in time."""
+    """The sentence for a connection that was not made in time."""
     return (
         f"no connection to {', '.join(connect)} within {timeout_s:g} s. Likely causes: no learner is running there; "
         "the address or the port is wrong; a firewall drops the connection; one side speaks TLS and the other does "
@@ -35,7 +35,7 @@ def no_connection(connect: Sequence[str], timeout_s: float, credentials: Credent
 
 
 def unserved(endpoint: str) -> str:
-    """What to say of a peer that is connected and answers nothing."""
+    """The sentence for a peer that is connected and answers nothing."""
     return (
         f"{endpoint} is connected, but serves nothing to this process: it is still starting or is no learner, or it "
         "does not give the name in this certificate, or this user, the right to work (transport.actor_names there)"
@@ -43,7 +43,7 @@ def unserved(endpoint: str) -> str:
 
 
 def cannot_open(listen: Sequence[str], text: str) -> str:
-    """What to say of Zenoh's reason, `text`, for not opening a session."""
+    """The sentence for Zenoh's reason, `text`, for not opening a session."""
     where = ", ".join(listen)
     if "Address already in use" in text:
         ports = ", ".join(str(Endpoint.parse(endpoint).port) for endpoint in listen)

@@ -44,7 +44,7 @@ class Endpoint:
 
 
 def is_loopback(endpoint: str) -> bool:
-    """Whether only processes of this machine can reach the endpoint; `SessionError` if it is not an address."""
+    """True if only processes of this machine can reach the endpoint; `SessionError` if it is not an address."""
     return Endpoint.parse(endpoint).is_loopback
 
 

@@ -1,4 +1,4 @@
-"""What Zenoh's threads call: questions to be answered once, and what becomes of errors there."""
+"""Callbacks on Zenoh's threads: requests that are answered once, and the handling of errors there."""
 
 from __future__ import annotations
 

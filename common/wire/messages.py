@@ -86,7 +86,7 @@ class JoinReply(Message):
 
     @property
     def finished(self) -> bool:
-        """Whether the request was refused since the run is over."""
+        """True if the request was refused because the run is over."""
         return self.slug == FINISHED
 
 

@@ -45,7 +45,7 @@ _SIGNS = (
 
 
 def is_zenoh_line(line: str) -> bool:
-    """Whether a line is of Zenoh's log."""
+    """True for a line of Zenoh's log."""
     return _OURS.search(_COLOURS.sub("", line)) is not None
 
 

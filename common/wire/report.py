@@ -1,4 +1,4 @@
-"""What a learner answers when it is asked how the run is going: the whole picture, as JSON, in one answer.
+"""The learner's answer to a status request: the whole state of the run, as JSON, in one answer.
 
 All `..._s` are seconds and count up to the moment of the answer, by the learner's clock; nobody else's is needed to
 read them. A field that this side does not know is ignored, so that a report of a newer release can be read as well.

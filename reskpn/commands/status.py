@@ -169,7 +169,7 @@ def _endpoint_in(run_dir: Path | None) -> str:
 
 
 def _unanswered(run_dir: Path | None, error: ReskpnError) -> str:
-    """Why no learner answers for a run, as its directory shows it."""
+    """The reason why no learner answers for a run, as its directory shows it."""
     listed = None if run_dir is None else describe_run(run_dir)
     if listed is None:
         where = "" if run_dir else f" There is no run in {RUNS}/ here; give --endpoint or --run-dir."

@@ -71,7 +71,7 @@ class Drawing(Section):
 
 
 class ScaleOverride(Section):
-    """What an experiment has other than its scale says."""
+    """The values in which an experiment departs from its scale."""
 
     steps: Count | None = None
     seeds: Count | None = None
@@ -115,7 +115,7 @@ class Experiment(Section):
 
     @property
     def needs_runs(self) -> bool:
-        """Whether it is drawn from results; a table of settings is not."""
+        """True if it is drawn from results; a table of settings is not."""
         return self.drawing.kind != "settings"
 
     @property
@@ -126,7 +126,7 @@ class Experiment(Section):
 
 
 class Scale(Section):
-    """How large the runs of all experiments are.
+    """The size of the runs of all experiments.
 
     Attributes:
         steps: environment steps of a run, and `steps_of` those on some tasks instead.

@@ -1,4 +1,4 @@
-"""What an experiment needs at a scale: the runs of its arms on its tasks, seed by seed."""
+"""The runs that an experiment needs at a scale: those of its arms on its tasks, seed by seed."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class Timeline:
 
 @dataclass
 class RunRecord:
-    """What a report or a comparison shows of a recorded run."""
+    """The content of a recorded run that a report or a comparison shows."""
 
     run: str
     settings: RunSettings

@@ -1,4 +1,4 @@
-"""How a result gets its origin and its file."""
+"""Writes a result to its file, with its origin."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from common.config.settings import TransportSettings
@@ -79,21 +80,30 @@ def run_actor(
             )
             if assignment is None:
                 return 0
-            physics = engine if assignment.settings.physics == "auto" else assignment.settings.physics
-            say(
-                f"joined {assignment.run} as slot {assignment.slot} (generation {assignment.generation}) "
-                f"with {physics} physics"
-            )
-            try:
-                finished = ActorIncarnation(session, assignment, transport, engine, threads, stop, write_state).work()
-            except (AssignmentLost, SessionError) as error:
-                say(f"{error}; joining again")
+            begin = partial(ActorIncarnation, session, assignment, transport, engine, threads, stop, write_state)
+            if not _work(begin, assignment, engine, say):
                 connect_timeout_s = rejoin_timeout_s
                 continue
-            if finished:
-                say("the run is over")
             return 0
     return 0
+
+
+def _work(
+    begin: Callable[[], ActorIncarnation], assignment: Assignment, engine: str, say: Callable[[str], None]
+) -> bool:
+    """Work as one incarnation to its end. Returns False if the slot or the learner was lost: the actor joins again."""
+    physics = engine if assignment.settings.physics == "auto" else assignment.settings.physics
+    say(
+        f"joined {assignment.run} as slot {assignment.slot} (generation {assignment.generation}) with {physics} physics"
+    )
+    try:
+        finished = begin().work()
+    except (AssignmentLost, SessionError) as error:
+        say(f"{error}; joining again")
+        return False
+    if finished:
+        say("the run is over")
+    return True
 
 
 class ActorIncarnation:

@@ -209,7 +209,7 @@ class TrainingLoop:
         )
 
     def _is_checkpoint(self, version: int) -> bool:
-        """Whether the state of this version is kept in a file; version 0 follows from the settings."""
+        """True if the state of this version is kept in a file; version 0 follows from the settings."""
         due = version > 0 and version % self._settings.log.checkpoint_every == 0
         return due or version == self._settings.updates
 

@@ -104,7 +104,7 @@ class KernelCritic:
         return Correction(points, weights, fitted), metrics
 
     def _inputs(self, parameters: Parameters, obs: Float[Array, "B O"]) -> Float[Array, "B d"]:
-        """What g sees, in units that make distances of order one: z / sqrt(d), o / sqrt(O)."""
+        """The inputs of g, in units that make distances of order one: z / sqrt(d), o / sqrt(O)."""
         networks, kind = self.networks, self.settings.inputs
         if kind == "critic":
             return networks.critic_features(parameters["critic"], obs)

@@ -22,7 +22,7 @@ from reskpn.study.store import Store
 
 @dataclass(frozen=True)
 class Drawn:
-    """What was drawn of an experiment: a caption, picture files by their stem, and tables."""
+    """The drawings of an experiment: a caption, picture files by their stem, and tables."""
 
     name: str
     caption: str

@@ -1,4 +1,4 @@
-"""What `reskpn compare` and `reskpn sweep` write: one picture, one table and the points of the curves."""
+"""The output of `reskpn compare` and `reskpn sweep`: one picture, one table and the points of the curves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How pictures look, and how they are written: the same bytes for the same results."""
+"""The style of all pictures, and writing them: the same bytes for the same results."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ class EvaluatorHandler:
         return None
 
     def _is_new(self, given: Assessment) -> bool:
-        """Whether the assessment is to be logged: False for a duplicate. CodecError where it is not wanted."""
+        """True if the assessment is to be logged: False for a duplicate. CodecError where it is not wanted."""
         member = self._members.get(given.evaluator)
         if member is None or given.run != self._run:
             raise CodecError(

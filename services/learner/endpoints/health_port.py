@@ -14,7 +14,7 @@ HOST = "127.0.0.1"
 
 
 class Readiness:
-    """Whether the learner serves requests to join: not before `serve` was called."""
+    """True if the learner serves requests to join: not before `serve` was called."""
 
     def __init__(self) -> None:
         self._run = ""

@@ -96,7 +96,7 @@ class Hub:
             self._opened_s, self._open = time.monotonic(), True
 
     def is_open(self) -> bool:
-        """Whether requests to join are answered; blocks where they would be held up."""
+        """True if requests to join are answered; blocks where they would be held up."""
         with self._changed:
             return self._open
 

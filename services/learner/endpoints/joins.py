@@ -60,7 +60,7 @@ class JoinHandler:
         self._refused_s = -ASK_AGAIN_S
 
     def standing_by(self) -> bool:
-        """Whether actors without a slot repeat their requests: they have yet to learn that the run is over."""
+        """True if actors without a slot repeat their requests: they have yet to learn that the run is over."""
         with self._changed:
             return time.monotonic() - self._refused_s < ASK_AGAIN_S
 

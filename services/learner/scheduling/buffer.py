@@ -31,7 +31,7 @@ class RolloutBuffer(abc.ABC):
     @property
     @abc.abstractmethod
     def reserves_slots(self) -> bool:
-        """Whether a slot that no actor has held yet is waited for."""
+        """True if a slot that no actor has held yet is waited for."""
 
     @abc.abstractmethod
     def begin(

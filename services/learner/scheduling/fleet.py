@@ -112,7 +112,7 @@ class Fleet:
         return member if member is not None and member.incarnation == incarnation else None
 
     def holds(self, slot: int, incarnation: str) -> bool:
-        """Whether this incarnation has that slot now."""
+        """True if this incarnation has that slot now."""
         return self.holder(slot, incarnation) is not None
 
     def silent(self, now_s: float, limit_s: float) -> list[str]:
@@ -212,7 +212,7 @@ class Fleet:
         return None if start is None else start.environment
 
     def given(self) -> list[int]:
-        """How often each slot was assigned, by slot."""
+        """The number of times each slot was assigned, by slot."""
         return [slot.given for slot in self._slots]
 
     # -- orders --------------------------------------------------------------------------------------------
@@ -249,7 +249,7 @@ class Fleet:
         return [(slot.number, slot.member) for slot in self._slots if slot.member is not None]
 
     def was_held(self, slot: int) -> bool:
-        """Whether the slot has ever been assigned."""
+        """True if the slot has ever been assigned."""
         return self._slots[slot].given > 0
 
     @property
@@ -268,7 +268,7 @@ class Fleet:
 
     @property
     def hand_in(self) -> bool:
-        """Whether the states of environments are wanted with this version."""
+        """True if the states of environments are wanted with this version."""
         return self._hand_in and self.divergence is None
 
     @property

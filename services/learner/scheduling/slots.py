@@ -70,12 +70,12 @@ class Slot:
 
     @property
     def reserved(self) -> bool:
-        """Whether the slot's work may not be given to other actors: which rollout it contributes is determined."""
+        """True if the slot's work may not be given to other actors: which rollout it contributes is determined."""
         return not self.released and (self.given == 0 or self.start is not None)
 
     @property
     def covered(self) -> bool:
-        """Whether its rollout will come without another slot's actor: it has a working actor, or is reserved.
+        """True if its rollout will come without another slot's actor: it has a working actor, or is reserved.
 
         A compiling actor counts only while its slot is reserved, or is the first in it: the others must not wait for
         a successor that compiles.

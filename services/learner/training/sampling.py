@@ -1,4 +1,4 @@
-"""Whether a policy can be sampled from: in float32, and with actions that a rollout may hold."""
+"""Checks that a policy can be sampled from: in float32, and with actions that a rollout may hold."""
 
 from __future__ import annotations
 

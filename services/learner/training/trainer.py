@@ -102,7 +102,7 @@ class Trainer:
         return trees.to_arrays(self._state)
 
     def policy_arrays(self) -> dict[str, np.ndarray]:
-        """What acting needs, by path: what a snapshot carries."""
+        """The arrays that acting needs, by path: the content of a snapshot."""
         return trees.to_arrays(self._state.policy)
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
