@@ -70,7 +70,7 @@ def test_results_that_decide_others_are_made_first(catalogue: dict[str, Experime
     made = make_runs(["choice"], "smoke", catalogue, store, only={}, jobs=1, say=said.append, runner=runner)
     assert made == len(runner.made) == len(store)
     assert plan(catalogue["choice"], "smoke", catalogue, store).undecided == {}
-    assert [settings.learner for settings in runner.made[-2:]] == ["origin-kernel", "origin-kernel"]
+    assert runner.made[-1].learner == "origin-kernel"
 
 
 def test_some_tasks_and_seeds_alone(catalogue: dict[str, Experiment], store: Store) -> None:
