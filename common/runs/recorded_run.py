@@ -106,6 +106,14 @@ class RecordedRun:
             except CodecError as error:
                 raise LogReadError(f"message {message.sequence} of /policy is not a policy: {error}") from None
 
+    def evaluations(self) -> Iterator[Mapping[str, Any]]:
+        """The `/eval` records in the order of the log: the run's own and those of evaluators.
+
+        Raises (from the iterator):
+            LogReadError: the log is damaged.
+        """
+        return (message.json() for message in self._reader.messages(["/eval"]))
+
     def messages(self, chain: ChainCheck | None = None) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
         """Every message of the log as it was written, and its content where it is of /rollout or /update.
 

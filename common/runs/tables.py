@@ -1,4 +1,4 @@
-"""A recorded run as Parquet files: transitions, episodes, and the metrics of every update.
+"""A recorded run as Parquet files: transitions, episodes, the metrics of every update, and evaluations.
 
 Transitions are written as the log is read, a row group at a time; only the metrics of the updates are held in memory.
 """
@@ -6,7 +6,7 @@ Transitions are written as the log is read, a row group at a time; only the metr
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,14 @@ from common.tasks import TASKS
 from common.wire.rollout import Rollout
 
 ROLLOUTS, EPISODES, METRICS = "rollouts.parquet", "episodes.parquet", "metrics.parquet"
-FILES = (ROLLOUTS, EPISODES, METRICS)
+EVALUATIONS = "evaluations.parquet"
+FILES = (ROLLOUTS, EPISODES, METRICS, EVALUATIONS)
 
 _GROUP_BYTES = 32 << 20
 """Bytes of a row group before it is compressed."""
+
+_RUN = (("run", pa.string()), ("task", pa.string()), ("learner", pa.string()), ("seed", pa.int64()))
+"""First columns of every file, so that the files of several runs can be put together."""
 
 _ORIGIN = (
     ("version", pa.int64()),
@@ -65,10 +69,20 @@ def extract(run: RecordedRun, folder: Path, on_update: Callable[[RecordedUpdate]
 def _extract(run: RecordedRun, folder: Path, on_update: Callable[[RecordedUpdate], None]) -> dict[str, int]:
     task = TASKS[run.settings.task]
     numbers = Numbers()
+    settings = run.settings
+    of_run: dict[str, int | str] = {
+        "run": run.run,
+        "task": settings.task,
+        "learner": settings.learner,
+        "seed": settings.seed,
+    }
     with ExitStack() as stack:
+
+        def table(name: str, schema: pa.Schema) -> _Table:
+            return stack.enter_context(_table(folder / name, schema, of_run))
+
         schema = rollout_schema(task.observation_size, task.action_size)
-        rollouts = stack.enter_context(_table(folder / ROLLOUTS, schema))
-        episodes = stack.enter_context(_table(folder / EPISODES, EPISODE_SCHEMA))
+        rollouts, episodes = table(ROLLOUTS, schema), table(EPISODES, EPISODE_SCHEMA)
 
         def add(rollout: Rollout, version: int | None) -> None:
             rollouts.add(_transitions(rollout, version, schema))
@@ -80,9 +94,12 @@ def _extract(run: RecordedRun, folder: Path, on_update: Callable[[RecordedUpdate
             numbers.add(update)
             on_update(update)
         batch = numbers.batch()
-        metrics = stack.enter_context(_table(folder / METRICS, batch.schema))
+        metrics = table(METRICS, batch.schema)
         metrics.add(batch)
-    return {ROLLOUTS: rollouts.rows, EPISODES: episodes.rows, METRICS: metrics.rows}
+        evaluations = table(EVALUATIONS, EVALUATION_SCHEMA)
+        evaluations.add(pa.RecordBatch.from_pylist(list(run.evaluations()), schema=EVALUATION_SCHEMA))
+    written = {ROLLOUTS: rollouts, EPISODES: episodes, METRICS: metrics, EVALUATIONS: evaluations}
+    return {name: file.rows for name, file in written.items()}
 
 
 def rollout_schema(observation_size: int, action_size: int) -> pa.Schema:
@@ -107,6 +124,20 @@ EPISODE_SCHEMA = pa.schema([*_ORIGIN, ("return", pa.float32()), ("length", pa.in
 """Columns of the episodes: one row for each that ended in a rollout."""
 
 
+EVALUATION_SCHEMA = pa.schema(
+    [
+        ("version", pa.int64()),
+        ("env_steps", pa.int64()),
+        ("source", pa.string()),
+        ("behind", pa.int64()),
+        ("episodes", pa.int64()),
+        *((f"return_{name}", pa.float64()) for name in ("mean", "std", "min", "max")),
+        *((f"length_{name}", pa.float64()) for name in ("mean", "std")),
+    ]
+)
+"""Columns of the evaluations: one row for each `/eval` message; null where an older release did not record a value."""
+
+
 class Numbers:
     """The numbers of every update by column; eight bytes each, for a run may have very many."""
 
@@ -118,7 +149,10 @@ class Numbers:
     def add(self, update: RecordedUpdate) -> None:
         """Add a row. A value that only other updates have is null, as is one that was not finite."""
         rows = len(self._digests)
+        returns = np.concatenate([rollout.episode_return for rollout in update.rollouts])
         values = {
+            "episodes": float(len(returns)),
+            "return": float(returns.mean(dtype=np.float64)) if len(returns) else None,
             **{f"staleness/{name}": value for name, value in update.staleness.items()},
             **{f"seconds/{name}": value for name, value in update.seconds.items()},
             **update.metrics,
@@ -144,10 +178,11 @@ class Numbers:
 class _Table:
     """A Parquet file that is being written."""
 
-    def __init__(self, writer: parquet.ParquetWriter, schema: pa.Schema) -> None:
+    def __init__(self, writer: parquet.ParquetWriter, schema: pa.Schema, of_run: Mapping[str, int | str]) -> None:
         self.rows = 0
         self._writer = writer
         self._schema = schema
+        self._of_run = of_run
         self._batches: list[pa.RecordBatch] = []
 
     def add(self, batch: pa.RecordBatch) -> None:
@@ -161,18 +196,25 @@ class _Table:
         """Write the rows that are held as one row group."""
         table = pa.Table.from_batches(self._batches, self._schema)
         if table.num_rows:
+            for place, (name, kind) in enumerate(_RUN):
+                table = table.add_column(place, name, _constant(self._of_run[name], kind, table.num_rows))
             self._writer.write_table(table, row_group_size=table.num_rows)
         self._batches.clear()
 
 
 @contextmanager
-def _table(path: Path, schema: pa.Schema) -> Iterator[_Table]:
-    """A table that becomes the file `path` at the end of the block; no file is left if the block raises."""
+def _table(path: Path, schema: pa.Schema, of_run: Mapping[str, int | str]) -> Iterator[_Table]:
+    """A table that becomes the file `path` at the end of the block; no file is left if the block raises.
+
+    `of_run` has the values of the columns `_RUN`, which are put before those of the schema.
+    """
     beside = path.with_suffix(".part")
+    written = pa.schema([*_RUN, *schema])
+    repeated = [name for name in written.names if written.field(name).type == pa.string()] + ["seed"]
     try:
         # Floats hardly repeat: a dictionary of their values would only cost time.
-        with parquet.ParquetWriter(beside, schema, use_dictionary=["incarnation", "state_digest"]) as writer:
-            table = _Table(writer, schema)
+        with parquet.ParquetWriter(beside, written, use_dictionary=repeated) as writer:
+            table = _Table(writer, schema, of_run)
             yield table
             table.flush()
         beside.replace(path)

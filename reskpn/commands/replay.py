@@ -204,7 +204,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("path", type=Path, metavar="RUN", help="directory of a run, its log directory, or a single .mcap file")
     uses = parser.add_mutually_exclusive_group(required=True)
     uses.add_argument("--verify", action="store_true", help="recompute every state from the log and compare")
-    uses.add_argument("--extract", type=Path, metavar="DIR", help="write transitions, episodes and metrics to DIR")
+    uses.add_argument("--extract", type=Path, metavar="DIR", help="write the run as Parquet files to DIR")
     uses.add_argument("--publish", action="store_true", help="publish the log on the keys that the run used")
     uses.add_argument("--into", metavar="LEARNER", help="train another learner on the same experience")
     add("--until", type=int, metavar="V", help="with --verify: stop after this version (default: the last)")

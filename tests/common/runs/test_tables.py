@@ -9,15 +9,31 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
-from recorded_runs import SECONDS, UPDATES, Recording, batch, made_up, write_log
+from recorded_runs import RUN, SECONDS, UPDATES, Recording, batch, made_up, trainer_settings, write_log
 
 from common.errors import LogReadError, SettingsError
 from common.runs import tables
 from common.runs.recorded_run import open_run
-from common.runs.tables import EPISODES, FILES, METRICS, ROLLOUTS, extract
+from common.runs.tables import EPISODES, EVALUATIONS, FILES, METRICS, ROLLOUTS, extract
 
 ROWS = 6
 """Transitions of a rollout: three steps of two environments."""
+
+OF_RUN = {"run": RUN, "task": "inverted_pendulum", "learner": trainer_settings().learner, "seed": 0}
+
+EVALUATION = {
+    "version": 4,
+    "env_steps": 48,
+    "source": "run",
+    "behind": 0,
+    "episodes": 3,
+    "return_mean": 20.0,
+    "return_std": 1.5,
+    "return_min": 18.0,
+    "return_max": 22.0,
+    "length_mean": 20.0,
+    "length_std": 1.5,
+}
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +43,7 @@ def recording() -> Recording:
     metrics: list[dict[str, Any]] = [{"train/kl": 0.1}, {"rkhs/alpha": 2.0}, {"train/kl": None}, {"train/kl": 0.4}]
     for number, (place, update) in enumerate(made.of("/update")):
         made.messages[place] = ("/update", update | {"metrics": metrics[number]})
+    made.messages.append(("/eval", EVALUATION))
     return made
 
 
@@ -38,7 +55,7 @@ def folder(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Pa
     made = extract(open_run(run_dir), run_dir / "deep" / "tables", lambda update: seen.append(update.version))
     assert seen == [1, 2, 3, 4]
     # two rollouts an update and one without use; two episodes ended at update 2
-    assert made == {ROLLOUTS: (2 * UPDATES + 1) * ROWS, EPISODES: 2, METRICS: UPDATES}
+    assert made == {ROLLOUTS: (2 * UPDATES + 1) * ROWS, EPISODES: 2, METRICS: UPDATES, EVALUATIONS: 1}
     return run_dir / "deep" / "tables"
 
 
@@ -81,7 +98,7 @@ def test_rollouts_without_use_have_no_version(folder: Path) -> None:
 
 def test_one_row_an_episode(folder: Path) -> None:
     """With the rollout it ended in."""
-    where = {"version": 2, "slot": 0, "incarnation": "life-0", "seq": 1}
+    where = OF_RUN | {"version": 2, "slot": 0, "incarnation": "life-0", "seq": 1}
     assert rows(folder, EPISODES) == [where | {"return": 7.0, "length": 7}, where | {"return": 9.0, "length": 9}]
 
 
@@ -96,6 +113,25 @@ def test_one_row_an_update(folder: Path) -> None:
     assert [row["seconds/wait"] for row in found] == [SECONDS["wait"]] * 4
     assert [row["staleness/max"] for row in found] == [0.0] * 4
     assert found[0]["t_ns"] == 10**18 + 4 * 10**8
+
+
+def test_the_return_of_every_update(folder: Path) -> None:
+    """Mean over the episodes that ended in its rollouts, 7 and 9 at update 2; null where none did."""
+    found = rows(folder, METRICS)
+    assert [row["episodes"] for row in found] == [0, 2, 0, 0]
+    assert [row["return"] for row in found] == [None, 8.0, None, None]
+
+
+def test_one_row_an_evaluation(folder: Path) -> None:
+    """Every figure of the `/eval` message, and the run that it is of."""
+    assert rows(folder, EVALUATIONS) == [OF_RUN | EVALUATION]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_row_says_which_run_it_is_of(folder: Path, name: str) -> None:
+    """Run, task, learner and seed are the first columns, so that the files of several runs can be put together."""
+    assert parquet.read_schema(folder / name).names[:4] == list(OF_RUN)
+    assert all(row | OF_RUN == row for row in rows(folder, name))
 
 
 def test_row_groups_are_bounded(recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

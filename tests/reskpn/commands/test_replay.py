@@ -242,6 +242,7 @@ def test_extract_says_what_it_wrote(said: Said, run_dir: Path, tmp_path: Path) -
         "rollouts.parquet: 54 rows",
         "episodes.parquet: 2 rows",
         "metrics.parquet: 4 rows",
+        "evaluations.parquet: 0 rows",
     ]
 
 

@@ -1,4 +1,4 @@
-"""Statistics, against worked examples and against rliable 1.2.0."""
+"""Statistics, against worked examples."""
 
 from __future__ import annotations
 
