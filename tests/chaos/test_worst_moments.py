@@ -105,10 +105,10 @@ def test_killed_at_the_end(
         started, run_dir, small_options(UPDATES, episodes=4), learner_faults=[next(iter(AT_THE_END.values()))]
     )
     dies_through(apart, AT_THE_END, story_so_far(run_dir, undisturbed))
-    # The last of them had no time to tell its actors that the run is over: its successor does only that.
+    # The last of them was killed before it notified its actors that the run is over: its successor does only that.
     printed = apart.end()
     assert f"this run has finished, with {UPDATES} updates" in printed
-    assert "telling them" in printed
+    assert "notifying them" in printed
     assert not LogReader(run_dir).torn, "its log is closed"
     assert audited(run_dir, UPDATES) == undisturbed
     (evaluation,) = [message.json() for message in LogReader(run_dir).messages(["/eval"])]
