@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from common.log.reader import LogReader
+from common.printable import shortened
 from common.wire.rollout import Rollout
 from scripts.docker_test.project import SERVICES, Project
 
@@ -157,7 +158,7 @@ class Story:
         assert all(len(update["rollouts"]) == SLOTS for update in self.log.updates)
         by_life = self.log.used_by_life()
         lives = {incarnation for _, _, incarnation in self._joined()}
-        assert set(by_life) <= lives
+        assert {shortened(life) for life in by_life} <= lives
         # Two at first, one more by scaling, the killed and the crashed one again; and all that joined the new learner.
         assert len(lives) >= 6
         assert len(by_life) >= 5, f"rollouts by life: {by_life}"
@@ -181,7 +182,7 @@ class Story:
         return self.log.first_update_s - self.began_s
 
     def _joined(self) -> set[tuple[str, ...]]:
-        """(slot, generation, incarnation) of every actor that has joined so far."""
+        """(slot, generation, incarnation as the learner shows it) of every actor that has joined so far."""
         return {found.groups() for found in JOINED.finditer(self.project.learner_words())}
 
 
@@ -196,7 +197,7 @@ class Logged:
     """Source and version."""
 
     def used_by_life(self) -> dict[str, int]:
-        """The number of rollouts used, by incarnation."""
+        """The number of rollouts used, by whole incarnation: the log has it, the screen only its start."""
         counts: dict[str, int] = defaultdict(int)
         for update in self.updates:
             for used in update["rollouts"]:
