@@ -39,7 +39,27 @@ BROKEN_PIPE = 141
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code. This package's errors are printed as a sentence, without a traceback."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    chosen = next((word for word in words if not word.startswith("-")), "")
+    name = _chosen(words)
+    try:
+        given, command = parse(words)
+        code: int = command.run(given)
+    except ReskpnError as error:
+        say(f"reskpn {name}: {error}", sys.stderr)
+        return error.exit_code
+    except BrokenPipeError:
+        # `reskpn runs | head -1`: nobody reads what a command still prints, which is no fault of it.
+        forget(sys.stdout)
+        return BROKEN_PIPE
+    return code
+
+
+def parse(words: Sequence[str]) -> tuple[argparse.Namespace, Command]:
+    """The options of a command line, and its command.
+
+    Raises:
+        SettingsError: an option that the command does not have, with the nearest that it has.
+        SystemExit: what argparse refuses, printed by it; also after `--help` and `--version`.
+    """
     parser = argparse.ArgumentParser(
         prog="reskpn",
         description="Kernel-policy reinforcement learning as a service, after the paper 'Residual Kernel Policy "
@@ -49,6 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--version", action=_Version, help="show the version and exit")
     commands = parser.add_subparsers(dest="command", required=True, metavar=f"{{{','.join(COMMANDS)}}}")
+    chosen, command = _chosen(words), None
     for name, summary in COMMANDS.items():
         if name == chosen:
             command = load_command(name)
@@ -56,17 +77,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             commands.add_parser(name, help=summary)
     given, unknown = parser.parse_known_args(words)
-    try:
-        refuse_unknown_options(unknown, given.parser)
-        code: int = command.run(given)
-    except ReskpnError as error:
-        say(f"reskpn {given.command}: {error}", sys.stderr)
-        return error.exit_code
-    except BrokenPipeError:
-        # `reskpn runs | head -1`: nobody reads what a command still prints, which is no fault of it.
-        forget(sys.stdout)
-        return BROKEN_PIPE
-    return code
+    assert command is not None  # argparse has refused whatever is no command
+    refuse_unknown_options(unknown, given.parser)
+    return given, command
+
+
+def _chosen(words: Sequence[str]) -> str:
+    return next((word for word in words if not word.startswith("-")), "")
 
 
 class _Version(argparse.Action):
