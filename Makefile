@@ -15,7 +15,7 @@ INVERTED_PENDULUM := --num-envs 1024 --num-steps 20 --total-steps 1.5e6
 CHAOS_POINTS ?= 20
 CHAOS_SEED ?=
 
-.PHONY: help setup train test test-chaos test-docker test-hosts lint bench paper-smoke lock clean
+.PHONY: help setup train test test-runs test-chaos test-docker test-hosts lint bench paper-smoke lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -32,6 +32,9 @@ train: setup  ## train; TASK=hopper LEARNER=ppo STEPS=3e6 ACTORS=1 SEED=0 PHYSIC
 
 test: setup  ## all tests that fit in a few minutes
 	@$(BIN)/python -m pytest -n 2 --dist loadfile
+
+test-runs: setup  ## whole runs: async, an actor or the learner killed, Ctrl-C
+	@$(BIN)/python -m pytest tests/whole_runs -p no:randomly -rA --tb=short
 
 test-docker: setup  ## docker-compose.yml for real: build, run, kill, scale; says so where it cannot be run here
 	@$(BIN)/python -m scripts.docker_test || [ $$? = 77 ]

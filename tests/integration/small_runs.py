@@ -8,12 +8,16 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from common.config.sources import parse_json
 from common.log.reader import LogReader
+from common.wire.rollout import Rollout
+from services.learner.training.trainer import Trainer
 
 ENVS, STEPS, ACTORS = 32, 8, 2
 BATCH = ENVS * STEPS
@@ -91,3 +95,31 @@ def small_run(run_dir: Path, *options: str, updates: int = 12) -> Iterator[Train
         # Its services stop by themselves when their supervisor is gone.
         process.kill()
         process.communicate()
+
+
+def used_rollouts(run_dir: Path) -> list[list[Rollout]]:
+    """For each update the rollouts it names, out of the log, in its order."""
+    rollouts = {}
+    updates = []
+    for message in LogReader(run_dir).messages(["/rollout", "/update"]):
+        if message.topic == "/rollout":
+            rollout = Rollout.decode(message.data)
+            assert rollout.key not in rollouts, "a rollout is logged once"
+            rollouts[rollout.key] = rollout
+        else:
+            names = [(used["slot"], used["incarnation"], used["seq"]) for used in message.json()["rollouts"]]
+            # Written ahead: a rollout is in the log before the update that uses it.
+            updates.append([rollouts[name] for name in names])
+    assert Counter(rollout.key for update in updates for rollout in update).most_common(1)[0][1] == 1
+    return updates
+
+
+def replayed_digests(run_dir: Path) -> list[str]:
+    """The state digests that result from the logged rollouts alone, update by update."""
+    settings = parse_json(LogReader(run_dir).metadata()["settings"]["json"])
+    trainer = Trainer(settings)
+    digests = []
+    for rollouts in used_rollouts(run_dir):
+        trainer.update(rollouts)
+        digests.append(trainer.digest())
+    return digests
