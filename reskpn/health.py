@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from common.errors import ReskpnError, SessionError
 from common.wire.credentials import NO_CREDENTIALS, Credentials
-from services.worker.state_file import OLD_S, read_state
+from services.worker.state_file import LEARNER_RESUMES, OLD_S, read_state
 
 if TYPE_CHECKING:
     from common.wire.messages import JoinReply
@@ -57,12 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             help="directory with the learner's or an actor's certificate",
         )
         if name == "learner":
-            add(
-                "--port",
-                type=int,
-                metavar="N",
-                help="ask at its transport.health_port instead",
-            )
+            add("--port", type=int, metavar="N", help="ask at its transport.health_port instead")
+            add("--ready", action="store_true", help="a learner that resumes a run, and takes nobody yet, will not do")
         add("--users", type=Path, metavar="FILE", help=f"file with a line user:password that the {name} accepts")
     for name in ("actor", "evaluator"):
         follower = services.add_parser(name)
@@ -72,10 +68,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     try:
         if given.service == "learner" and given.port is not None:
-            health = port_health(given.port, given.timeout)
-        elif given.service in ("learner", "router"):
-            examine = learner_health if given.service == "learner" else router_health
-            health = examine(given.endpoint, given.timeout, Credentials(given.certificates, given.users))
+            health = port_health(given.port, given.timeout, ready=given.ready)
+        elif given.service == "learner":
+            credentials = Credentials(given.certificates, given.users)
+            health = learner_health(given.endpoint, given.timeout, credentials, ready=given.ready)
+        elif given.service == "router":
+            health = router_health(given.endpoint, given.timeout, Credentials(given.certificates, given.users))
         else:
             health = follower_health(given.service, given.state_file)
     except ReskpnError as error:
@@ -85,8 +83,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if health.good else 1
 
 
-def learner_health(endpoint: str, timeout_s: float, credentials: Credentials = NO_CREDENTIALS) -> Health:
-    """Ask the learner at the endpoint to join, as an actor does, and see whether it answers."""
+def learner_health(
+    endpoint: str, timeout_s: float, credentials: Credentials = NO_CREDENTIALS, *, ready: bool = False
+) -> Health:
+    """Ask the learner at the endpoint to join, as an actor does, and see whether it answers.
+
+    `ready`: an answer that it takes nobody yet, since it resumes its run, is not good.
+    """
+    from common.wire.messages import RESUMING
     from common.wire.session import open_session
 
     deadline = time.monotonic() + timeout_s
@@ -100,16 +104,21 @@ def learner_health(endpoint: str, timeout_s: float, credentials: Credentials = N
             reply = _ask(session, deadline)
     except ReskpnError as error:
         return Health(False, f"the learner takes no joins: {error}")
+    if reply.slug == RESUMING:
+        return Health(not ready, f"{reply.text} (run {reply.run})")
     return Health(True, f"the learner answers joins for run {reply.run}")
 
 
-def port_health(port: int, timeout_s: float) -> Health:
-    """Ask the learner of this machine at its `transport.health_port`, which needs neither certificates nor Zenoh."""
+def port_health(port: int, timeout_s: float, *, ready: bool = False) -> Health:
+    """Ask the learner of this machine at its `transport.health_port`, which needs neither certificates nor Zenoh.
+
+    `ready`: as `learner_health`.
+    """
     import http.client
 
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=timeout_s)
     try:
-        connection.request("GET", "/")
+        connection.request("GET", "/ready" if ready else "/")
         answer = connection.getresponse()
         return Health(answer.status == 200, answer.read(1024).decode("utf-8", "replace").strip())
     except (OSError, http.client.HTTPException) as error:
@@ -149,6 +158,8 @@ def follower_health(service: str, state_file: Path) -> Health:
         return Health(False, f"the {service} last reported {age_s:.0f} s ago ({found.state})")
     if found.state == "standing by":
         return Health(True, f"the {service} stands by: all slots are taken")
+    if found.state == LEARNER_RESUMES:
+        return Health(True, f"the {service} waits for its learner, which is resuming its run")
     if found.version < 0:
         return Health(False, f"the {service} has no policy yet ({found.state})")
     return Health(True, f"the {service} has policy {found.version} ({found.state})")

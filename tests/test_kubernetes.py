@@ -204,7 +204,9 @@ def test_probes_ask_the_right_thing(documents: list[Document], monkeypatch: pyte
             assert probe["timeoutSeconds"] >= 10
             if service == "learner":
                 values = {variable["name"]: variable.get("value") for variable in found["env"]}
-                assert command[4:] == ["--port", values["RESKPN_TRANSPORT__HEALTH_PORT"]]
+                # A learner that resumes for long must not be killed for it, and is not ready meanwhile.
+                ready = ["--ready"] if probe is found["readinessProbe"] else []
+                assert command[4:] == ["--port", values["RESKPN_TRANSPORT__HEALTH_PORT"], *ready]
                 continue
             kept: list[Path] = []
             monkeypatch.setattr(health, "follower_health", lambda _, file, kept=kept: kept.append(file) or WELL)

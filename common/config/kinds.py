@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -48,6 +49,18 @@ def written(value: Any) -> str:
     return str(value)
 
 
+def number_or(word: str, meaning: str) -> Callable[[Any], Any]:
+    """A check for a whole number of at least 1, or one word; one sentence for whatever else there is."""
+
+    def check(value: Any) -> Any:
+        number = int(value) if isinstance(value, str) and value.strip().isdecimal() else whole(value)
+        if value != word and (isinstance(number, bool) or not isinstance(number, int) or number < 1):
+            raise ValueError(f"must be a whole number of at least 1, or {word!r} {meaning}")
+        return number
+
+    return check
+
+
 Count = Annotated[int, BeforeValidator(whole), Field(ge=1)]
 Natural = Annotated[int, BeforeValidator(whole), Field(ge=0)]
 Seed = Annotated[int, BeforeValidator(whole), Field(ge=0, lt=2**32)]  # JAX drops higher bits: two seeds, one run
@@ -56,6 +69,7 @@ Port = Annotated[int, BeforeValidator(whole), Field(ge=1, le=65535)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+Kept = Annotated[int | Literal["everything"], BeforeValidator(number_or("everything", "to delete nothing"))]
 Names = Annotated[tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], BeforeValidator(split_list)]
 Widths = Annotated[tuple[Count, ...], BeforeValidator(widths)]
 

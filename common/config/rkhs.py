@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
-from common.config.kinds import Count, Natural, NotNegative, Positive, Section, whole
+from common.config.kinds import Count, Natural, NotNegative, Positive, Section, number_or
 from common.kernels import KERNELS
 from common.kernels.kernel import Property
 from common.suggestions import unknown_name
@@ -34,14 +34,6 @@ _REASONS: dict[Property, str] = {
 }
 
 
-def _samples(value: Any) -> Any:
-    """A whole number of at least 1, or "batch"; one sentence for whatever else there is."""
-    number = int(value) if isinstance(value, str) and value.strip().isdecimal() else whole(value)
-    if value != "batch" and (isinstance(number, bool) or not isinstance(number, int) or number < 1):
-        raise ValueError("must be a whole number of at least 1, or 'batch' for the whole batch")
-    return number
-
-
 class RkhsSettings(Section):
     """The RKHS part h of the policy and its functional gradient step (paper, section 3 and Table 1)."""
 
@@ -57,7 +49,7 @@ class RkhsSettings(Section):
     """how h is kept: exact, nystrom, rff, kmp (kernel matching pursuit), cluster, basis"""
     capacity: Count | None = None
     """centres, landmarks or features of h; default: room for every step, at most 2,441 (exact), else 256"""
-    samples: Annotated[int | Literal["batch"], BeforeValidator(_samples)] = 1
+    samples: Annotated[int | Literal["batch"], BeforeValidator(number_or("batch", "for the whole batch"))] = 1
     """transitions drawn for one functional gradient (n), or batch for all of them"""
     estimate: Literal["score", "symmetric"] = "score"
     """functional gradient from actions as taken, or from pairs of mirrored actions stepped from one state"""

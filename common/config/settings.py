@@ -17,6 +17,7 @@ from common.config.critic import CriticSettings
 from common.config.kinds import (
     Count,
     Fraction,
+    Kept,
     Names,
     Natural,
     NotNegative,
@@ -122,6 +123,8 @@ class LogSettings(Section):
     """number of versions from one logged policy to the next"""
     checkpoint_every: Count = 50
     """number of versions from one checkpoint to the next"""
+    keep: Kept = "everything"
+    """segments that are kept: everything, or what the newest K checkpoints need (K: a number; 2 or more is safer)"""
     signing_key: Path | None = None
     """PEM file with the Ed25519 private key that signs the chain of the log; default: no signatures"""
 

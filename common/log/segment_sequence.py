@@ -10,6 +10,8 @@ from common.log.chain import METADATA, SEALED, Chain, seal
 from common.log.segment_writer import Attachments, Compression, Metadata, SegmentWriter
 from common.log.segments import list_segments, segment_number, segment_path
 from common.log.signatures import Signer
+from common.log.totals import METADATA as TOTALS
+from common.log.totals import Totals
 
 Message = tuple[str, int, bytes]
 """Topic, time in nanoseconds, data."""
@@ -23,8 +25,8 @@ class SegmentSequence:
     Args:
         segment_bytes, segment_messages: size from which on a segment is full.
         metadata: put at the start of every segment.
-        attachments: put into the first segment.
-        chain, signer: as `LogWriter` has them.
+        attachments: put into the first segment, with `repeat_attachments` into every one.
+        chain, signer, totals: as `LogWriter` has them.
     """
 
     def __init__(
@@ -37,8 +39,10 @@ class SegmentSequence:
         clock_ns: Callable[[], int],
         metadata: Metadata,
         attachments: Attachments,
+        repeat_attachments: bool,
         chain: Chain | None,
         signer: Signer | None,
+        totals: Totals | None,
     ) -> None:
         self._directory = directory
         self._segment_bytes = segment_bytes
@@ -46,8 +50,10 @@ class SegmentSequence:
         self._compression = compression
         self._clock_ns = clock_ns
         self._metadata = dict(metadata)
+        self._later_attachments = attachments if repeat_attachments else {}
         self._chain = chain
         self._signer = signer
+        self._totals = totals
         present = list_segments(directory)
         self._number = 1 + (segment_number(present[-1]) or 0) if present else 0
         self._segment = self._open(attachments)
@@ -65,7 +71,7 @@ class SegmentSequence:
             self._segment.finish()
             self.synced_s = time.monotonic()
             self._number += 1
-            self._segment = self._open({})
+            self._segment = self._open(self._later_attachments)
         for topic, t_ns, data in messages:
             self._add(topic, t_ns, data)
         self._segment.commit()
@@ -90,6 +96,8 @@ class SegmentSequence:
             if topic in SEALED:
                 data = seal(data, self._chain, self._signer)
             self._chain.add(topic, t_ns, data)
+        if self._totals is not None:
+            self._totals.add(topic, t_ns, data)
         self._segment.add(topic, t_ns, data)
 
     def _is_full(self) -> bool:
@@ -99,6 +107,8 @@ class SegmentSequence:
 
     def _open(self, attachments: Attachments) -> SegmentWriter:
         metadata = dict(self._metadata)
+        if self._totals is not None:
+            metadata[TOTALS] = self._totals.metadata()
         if self._chain is not None:
             metadata[METADATA] = {"start": self._chain.digest}
             self._chain.begin_segment(metadata, attachments)

@@ -20,6 +20,7 @@ from common.log.records import CHANNELS, encode_json
 from common.log.segment_sequence import SegmentSequence
 from common.log.segment_writer import Attachments, Compression, Metadata
 from common.log.signatures import Signer
+from common.log.totals import Totals
 from common.suggestions import unknown_name
 
 _GROUP_BYTES = 32 << 20
@@ -57,10 +58,12 @@ class LogWriter:
         sync_period_s: least seconds between two syncs to the disk.
         clock_ns: nanoseconds for messages that are written without a time.
         metadata: by name, put at the start of every segment, so that each can be read alone.
-        attachments: name -> (media type, content), put into the first segment that this writer begins.
+        attachments: name -> (media type, content), put into the first segment that this writer begins;
+            `repeat_attachments`: into all.
         chain: names in every `/update` the digest of what was written before, and seals the log when it is closed; None
             for a log without.
         signer: signs those digests.
+        totals: named at the beginning of every segment; None for a log without.
         lock: of the log, where the caller holds it, and goes on holding it after `close`; else the writer takes it.
         on_error: called once, from the writer's thread, with the failure that ended the log. It must not call
             `close`, which waits for that thread.
@@ -80,8 +83,10 @@ class LogWriter:
         clock_ns: Callable[[], int] = time.time_ns,
         metadata: Metadata | None = None,
         attachments: Attachments | None = None,
+        repeat_attachments: bool = False,
         chain: Chain | None = None,
         signer: Signer | None = None,
+        totals: Totals | None = None,
         lock: LogLock | None = None,
         on_error: Callable[[LogWriteError], None] | None = None,
     ) -> None:
@@ -111,8 +116,10 @@ class LogWriter:
                 clock_ns=clock_ns,
                 metadata=metadata or {},
                 attachments=attachments or {},
+                repeat_attachments=repeat_attachments,
                 chain=chain,
                 signer=signer,
+                totals=totals,
             )
         except OSError as error:
             self._unlock()

@@ -15,8 +15,9 @@ from common.files import read_text
 from common.log.reader import LogReader
 from common.log.segments import LOG_DIRECTORY, list_segments, unreadable
 from common.runs.directory import SETTINGS, SUMMARY
+from common.runs.needed_segments import read_tally
 
-MAY_CHANGE = ("transport.", "total_steps", "run_dir", "log.signing_key")
+MAY_CHANGE = ("transport.", "total_steps", "run_dir", "log.signing_key", "log.keep")
 """Settings, or sections of them, that do not affect what a run learns from the experience it has collected."""
 
 
@@ -122,13 +123,16 @@ def _beside_says_other(path: Path, settings: RunSettings) -> bool:
 
 def _same(recorded: RunSettings, given: RunSettings) -> bool:
     pairs = _differences(recorded.model_dump(mode="json"), given.model_dump(mode="json"))
-    return all(name.startswith(("transport.", "run_dir", "log.signing_key")) for name, _, _ in pairs)
+    return all(name.startswith(("transport.", "run_dir", "log.signing_key", "log.keep")) for name, _, _ in pairs)
 
 
 def _began_ns(run_dir: Path) -> int:
-    """Time of the first record of a log; 0 where it has none."""
-    if not list_segments(run_dir / LOG_DIRECTORY):
+    """Time of the first record of a log, which may have been removed since; 0 where it has none."""
+    segments = list_segments(run_dir / LOG_DIRECTORY)
+    if not segments:
         return 0
+    if began_ns := read_tally(segments[0], updates=1).began_ns:
+        return began_ns
     first = next(LogReader(run_dir).messages(), None)
     return 0 if first is None else first.t_ns
 

@@ -40,6 +40,9 @@ from common.wire.message import Message
 MAX_TEXT = 4096
 Slug = Annotated[str, text(40, re.compile("[a-z_]*"))]
 
+RESUMING = "resuming"
+"""The slug of a refused `JoinReply` where the learner cannot take anyone yet, and soon will."""
+
 FINISHED = "finished"
 """The slug of a refused `JoinReply` where the run is over."""
 

@@ -23,6 +23,7 @@ from services.learner.reporting.recorder import UpdateRecorder
 from services.learner.reporting.summary import Outcome
 from services.learner.reporting.updates import AppliedUpdate
 from services.learner.resume.resumed_replay import ResumedReplay
+from services.learner.resume.retention import Retention
 from services.learner.training.checkpoints import Checkpoints, KeptEnvironments
 from services.learner.training.snapshots import make_snapshot
 from services.learner.training.trainer import Trainer
@@ -59,6 +60,9 @@ class TrainingLoop:
         self._checkpoints = checkpoints
         self._resumed_replay = resumed_replay
         self._stop = stop
+        self._retention = Retention(
+            settings, checkpoints.run_dir, lambda text: outlets.events.log("info", "segments_removed", text)
+        )
         self._recorder = UpdateRecorder(settings, outlets, resumed_replay.returns(settings.updates))
         self._physics: set[str] = set()
         self._digest = trainer.digest()
@@ -190,6 +194,9 @@ class TrainingLoop:
             # A resumed run takes a checkpoint with environments only if the log has the update that led to it.
             self._outlets.log.flush(timeout_s=FLUSH_S)
             self._checkpoints.keep_environments(environments)
+        if self._settings.log.keep != "everything" and self._is_checkpoint(version - 1):
+            self._outlets.log.flush(timeout_s=FLUSH_S)
+            self._retention.apply(version - 1)
         if self._is_checkpoint(version):
             self._checkpoints.keep(version, self._trainer.state_arrays())
 

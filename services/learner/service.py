@@ -19,9 +19,10 @@ from common.runs.directory import SUMMARY, claim_run_dir, write_settings
 from common.runtime import enable_compilation_cache
 from common.wire.listener import make_listener_monitor, require_authentication
 from common.wire.session import Session
-from services.learner.endpoints.health_port import health_port
+from services.learner.endpoints.health_port import Readiness, health_port
 from services.learner.endpoints.hub import Hub
 from services.learner.endpoints.listening import open_listener
+from services.learner.endpoints.resuming import ResumingEndpoints
 from services.learner.endpoints.sizes import check_rollout_size
 from services.learner.loop import TrainingLoop
 from services.learner.reporting.curves import points_of_evaluation, restore_points
@@ -29,8 +30,9 @@ from services.learner.reporting.outlets import Beginning, Outlets, open_outlets
 from services.learner.reporting.summary import conclude, describe, final_record, summarise
 from services.learner.resume.numerical_origin import adopt_numerical_origin
 from services.learner.resume.origin import Origin, begin_from
-from services.learner.resume.plan import Resumption, chain_of, plan_resumption
+from services.learner.resume.plan import Resumption, chain_of, plan_resumption, recorded_id
 from services.learner.resume.resumed_replay import ResumedReplay
+from services.learner.resume.retention import checkpoints_to_keep
 from services.learner.training.checkpoints import Checkpoints
 from services.learner.training.snapshots import make_snapshot
 from services.learner.training.trainer import Trainer
@@ -66,6 +68,7 @@ def run_learner(
         session = stack.enter_context(open_listener(settings.transport))
         notes = adopt_numerical_origin(settings.run_dir) if resume and settings.run_dir else []
         readiness = stack.enter_context(health_port(settings.transport.health_port))
+        resuming = _begin_to_resume(settings, session, readiness) if resume else None
         trainer = Trainer(settings)
         if origin is not None:
             begin_from(origin, trainer)
@@ -73,7 +76,7 @@ def run_learner(
         run_dir = settings.run_dir if resume else claim_run_dir(settings)
         assert run_dir is not None
         lock = lock or stack.enter_context(LogLock(run_dir / LOG_DIRECTORY))
-        resumption = _resume(settings, run_dir, lock, skip_batch=skip_batch) if resume else None
+        resumption = None if resuming is None else _resume(settings, run_dir, lock, resuming, skip_batch=skip_batch)
         write_settings(run_dir, settings)
         resumption = resumption or _new_run(settings, origin, chain_of(run_dir))
         if resumption.arrays is not None:
@@ -83,11 +86,11 @@ def run_learner(
         for note in (*notes, *resumption.notes):
             outlets.events.add("info", "resumed" if resume else "began_from", note)
         restore_points(outlets.scalars, run_dir)
-        hub = _make_hub(settings, session, outlets, resumption)
+        hub = _make_hub(settings, session, outlets, resumption, resuming)
         listener.watch(session, hub.connection_refused)
         readiness.serve(resumption.run, hub.is_open)
         replay = ResumedReplay(hub, resumption, outlets.events.add)
-        checkpoints = Checkpoints(resumption.run, run_dir)
+        checkpoints = Checkpoints(resumption.run, run_dir, checkpoints_to_keep(settings))
         loop = TrainingLoop(settings, trainer, hub, outlets, checkpoints, replay, stop)
         summary = _run_to_its_end(settings, loop, outlets, replay, checkpoints, began_s)
         _show_summary(summary, outlets, run_dir)
@@ -103,7 +106,21 @@ def _show_summary(summary: dict[str, Any], outlets: Outlets, run_dir: Path) -> N
         outlets.display.note(line)
 
 
-def _make_hub(settings: RunSettings, session: Session, outlets: Outlets, resumption: Resumption) -> Hub:
+def _begin_to_resume(settings: RunSettings, session: Session, readiness: Readiness) -> ResumingEndpoints:
+    """Answer status, joins and health checks from now on, though nobody can be taken before the log is read."""
+    assert settings.run_dir is not None
+    resuming = ResumingEndpoints(recorded_id(settings.run_dir), settings, session)
+    readiness.resume(lambda: resuming.text)
+    return resuming
+
+
+def _make_hub(
+    settings: RunSettings,
+    session: Session,
+    outlets: Outlets,
+    resumption: Resumption,
+    resuming: ResumingEndpoints | None,
+) -> Hub:
     return Hub(
         resumption.run,
         settings,
@@ -112,6 +129,7 @@ def _make_hub(settings: RunSettings, session: Session, outlets: Outlets, resumpt
         outlets.events.add,
         starts=resumption.starts,
         logged_environments=resumption.logged_environments,
+        serve=None if resuming is None else resuming.hand_over,
     )
 
 
@@ -143,8 +161,11 @@ def _run_to_its_end(
     return summary
 
 
-def _resume(settings: RunSettings, run_dir: Path, lock: LogLock, *, skip_batch: bool) -> Resumption | None:
-    resumption = plan_resumption(settings, run_dir, lock, skip_batch=skip_batch)
+def _resume(
+    settings: RunSettings, run_dir: Path, lock: LogLock, resuming: ResumingEndpoints, *, skip_batch: bool
+) -> Resumption | None:
+    resumption = plan_resumption(settings, run_dir, lock, skip_batch=skip_batch, on_read=resuming.read)
+    resuming.restoring()
     (run_dir / SUMMARY).unlink(missing_ok=True)  # of a run that was stopped: it is not over
     return resumption
 
@@ -167,8 +188,10 @@ def _outlets(
     beginning: Beginning | None,
 ) -> Iterator[Outlets]:
     """The outlets of the run, and in its log the batch that is set aside from now on."""
-    run, chain = resumption.run, resumption.chain
-    with open_outlets(run, settings, run_dir, stop, chain=chain, lock=lock, beginning=beginning) as outlets:
+    run, chain, tally = resumption.run, resumption.chain, resumption.tally
+    with open_outlets(
+        run, settings, run_dir, stop, chain=chain, tally=tally, lock=lock, beginning=beginning
+    ) as outlets:
         if resumption.set_aside is not None:
             outlets.log.write("/set_aside", resumption.set_aside)
         yield outlets

@@ -14,8 +14,9 @@ from common.config.sources import parse_json
 from common.errors import CodecError, RefusedError, SessionError
 from common.wire.credentials import Credentials
 from common.wire.keys import JOIN
-from common.wire.messages import Join, JoinReply
+from common.wire.messages import RESUMING, Join, JoinReply
 from common.wire.session import Session, open_session
+from services.worker.state_file import LEARNER_RESUMES
 
 Role = Literal["actor", "evaluator"]
 
@@ -80,7 +81,7 @@ def join(
     Args:
         run: the run to work for, or "" for any.
         waiting: called with the reason for waiting whenever it changes.
-        asked: called with "alone" or "standing by" after every request that was not accepted.
+        asked: called with "alone", "standing by" or `LEARNER_RESUMES` after every request that was not accepted.
         timeout_s: how long to wait for any answer, from the call or from the last answer on; None for ever.
 
     Raises:
@@ -110,7 +111,7 @@ def join(
             if reply.final:
                 raise RefusedError(f"the learner does not take this {role}: {reply.text}")
             silence.broken()
-            state, reason = "standing by", reply.text
+            state, reason = LEARNER_RESUMES if reply.slug == RESUMING else "standing by", reply.text
         asked(state)
         if reason != told:
             waiting(reason)

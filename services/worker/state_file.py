@@ -17,6 +17,9 @@ OLD_S = 15.0
 A live worker writes far more often: its longest pause is a join request that is not answered (5 s).
 """
 
+LEARNER_RESUMES = "learner resumes"
+"""The state of a worker whose learner answers, and is still reading the log of its run."""
+
 WriteState = Callable[[str, int], None]
 """Called with the state and the version of the policy held, which is negative for none."""
 

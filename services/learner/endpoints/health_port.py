@@ -13,22 +13,33 @@ REQUEST_S = 5.0
 HOST = "127.0.0.1"
 
 
+READY_PATH = "/ready"
+"""Asks for a learner that takes actors; any other path for one that is alive, as while it resumes a run."""
+
+
 class Readiness:
-    """True if the learner serves requests to join: not before `serve` was called."""
+    """The state of the learner: it starts, resumes a run, or serves requests to join."""
 
     def __init__(self) -> None:
         self._run = ""
         self._responds: Callable[[], bool] = lambda: False
+        self._resuming: Callable[[], str] | None = None
+
+    def resume(self, text: Callable[[], str]) -> None:
+        """Answer with this text, which says how far a resuming learner is, until joins are granted."""
+        self._resuming = text
 
     def serve(self, run: str, responds: Callable[[], bool]) -> None:
         """Answer with this run as soon as `responds` says that requests to join are answered."""
         self._run = run
         self._responds = responds
 
-    def answer(self) -> tuple[int, str]:
+    def answer(self, path: str = "/") -> tuple[int, str]:
         """(HTTP status, a line of text)."""
         if not self._responds():
-            return 503, "the learner is starting"
+            if self._resuming is None:
+                return 503, "the learner is starting"
+            return 503 if path == READY_PATH else 200, f"the learner is {self._resuming()}"
         return 200, f"the learner answers joins for run {self._run}"
 
 
@@ -44,7 +55,7 @@ def health_port(port: int | None) -> Iterator[Readiness]:
         timeout = REQUEST_S
 
         def do_GET(self) -> None:
-            status, text = readiness.answer()
+            status, text = readiness.answer(self.path)
             content = f"{text}\n".encode()
             self.send_response(status)
             self.send_header("Content-Type", "text/plain; charset=utf-8")

@@ -47,11 +47,13 @@ class Hub:
         *,
         starts: Sequence[Start] = (),
         logged_environments: Collection[tuple[int, int, int]] = (),
+        serve: Callable[[str, Callable[[Request], None]], None] | None = None,
     ) -> None:
-        """`on_event(level, name, text)` must not block; `logged_environments`: (version, slot, generation) of each."""
+        """`on_event(level, name, text)` must not block; `logged_environments`: (version, slot, generation) of each;
+        `serve`: in place of the session's, for status and joins."""
         self._run = run
         self._settings = settings
-        self._session = session
+        self._session, self._serve = session, serve or session.serve
         self._on_event = on_event
         self._keys = Keys(run)
         self._changed = threading.Condition()
@@ -61,8 +63,7 @@ class Hub:
         self._digest = ""
         self._evaluation: Evaluation | None = None
         self._monitor = RunMonitor(run, settings, time.monotonic())
-        self._opened_s = time.monotonic()
-        self._open = False
+        self._opened_s, self._open = time.monotonic(), False
         # to here.
         self.environments = EnvironmentHandler(
             run, settings, log, self._fleet, self._changed, partial(self._refused, "environment"), logged_environments
@@ -90,8 +91,8 @@ class Hub:
         session.subscribe(keys.heartbeats, self._on_heartbeat)
         session.watch_alive(keys.all_alive, self._on_alive)
         session.declare_alive(keys.alive("learner", "learner"))
-        session.serve(STATUS, lambda request: request.reply(self.report().encode()))
-        session.serve(JOIN, self._joins.on_request)
+        self._serve(STATUS, lambda request: request.reply(self.report().encode()))
+        self._serve(JOIN, self._joins.on_request)
         with self._changed:
             self._opened_s, self._open = time.monotonic(), True
 

@@ -20,6 +20,7 @@ from common.output import run_output
 from common.physics.assets import model_xml
 from common.runs.directory import TENSORBOARD
 from common.runs.initial_state import ATTACHMENT, MEDIA_TYPE
+from common.runs.tally import Tally
 from common.runtime import hardware, software_versions, source_commit
 from common.wire.messages import Snapshot
 from services.learner.reporting.curves import EVAL_RETURN, RETURN, comparable_settings
@@ -74,13 +75,14 @@ def open_outlets(
     stop: threading.Event,
     *,
     chain: str = START,
+    tally: Tally | None = None,
     lock: LogLock | None = None,
     beginning: Beginning | None = None,
 ) -> Iterator[Outlets]:
     """Open all of them; `stop` is set when the log fails. LogWriteError as `LogWriter`.
 
-    `chain`: digest of the log that is there. `lock`: of the log, where the caller holds it. `beginning`: of a new run
-    that begins with another's state.
+    `chain` and `tally`: digest and totals of the log that is there. `lock`: of the log, where the caller
+    holds it. `beginning`: of a new run that begins with another's state.
     """
     failures: list[LogWriteError] = []
 
@@ -89,7 +91,7 @@ def open_outlets(
         stop.set()
 
     with ExitStack() as stack:
-        log = stack.enter_context(_open_log(run, settings, run_dir, chain, lock, beginning, on_log_error))
+        log = stack.enter_context(_open_log(run, settings, run_dir, chain, tally, lock, beginning, on_log_error))
         display = make_display(
             f"ResKPN {run}: {settings.learner} on {settings.task}, {settings.updates} updates of "
             f"{settings.batch_size:,} steps\nlistening on {settings.transport.endpoint}; files in {run_dir}",
@@ -108,6 +110,7 @@ def _open_log(
     settings: RunSettings,
     run_dir: Path,
     chain: str,
+    tally: Tally | None,
     lock: LogLock | None,
     beginning: Beginning | None,
     on_error: Callable[[LogWriteError], None],
@@ -131,7 +134,9 @@ def _open_log(
             **origin,
         },
         attachments=attachments,
+        repeat_attachments=settings.log.keep != "everything",
         chain=Chain(chain),
+        totals=tally or Tally(settings.updates),
         signer=None if settings.log.signing_key is None else Signer(settings.log.signing_key),
         lock=lock,
         on_error=on_error,

@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from common.runs.tally import RECENT_EPISODES, late_from
 from common.wire.rollout import Rollout
-
-RECENT_EPISODES = 200
-"""Episodes that the shown return is a mean of, at least, once so many have ended."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ class TrainingReturn:
         while sum(kept.count for kept in self.recent) - self.recent[0].count >= RECENT_EPISODES:
             self.recent.popleft()
         self.episodes += ended.count
-        if record["version"] > self.updates - max(1, self.updates // 10):
+        if record["version"] >= late_from(self.updates):
             self.late_sum += ended.count * ended.mean
             self.late_count += ended.count
 

@@ -1,27 +1,32 @@
-"""The log of an interrupted run as an index: read once, whole, before the run is resumed."""
+"""The log of an interrupted run as an index, read from the segment on that a checkpoint needs."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from common.config.settings import RunSettings
-from common.errors import LogReadError
+from common.errors import CodecError, LogReadError
 from common.log.chain import ChainCheck
 from common.log.reader import LogReader
 from common.log.records import LogMessage
 from common.log.segments import find_segments
+from common.runs.needed_segments import first_needed, read_tally
 from common.runs.recorded_updates import TOPICS, RecordedUpdate, read_updates
+from common.runs.tally import Tally
 from common.wire.messages import Environment, Snapshot
 from common.wire.rollout import Rollout, RolloutId
 from services.learner.reporting.evaluations import is_of_the_run
 
 UNUSED_UPDATES = 2
 """Rollouts that no update has used yet lie after the last update but one; in async mode, but one more by staleness."""
+
+OnRead = Callable[[int, int], None]
+"""Called with the bytes of the log that were read, and the bytes that are to be read."""
 
 
 @dataclass(frozen=True)
@@ -37,20 +42,25 @@ class LoggedRun:
     """The records of a log that decide how a run goes on.
 
     Attributes:
+        segments: those that were read: the newest of the log, up to its end.
+        before: the totals of the segments before them.
+        tally: the totals of the whole log.
         updates: by the version they led to.
         unused: rollouts that no update has used, of the last version or as little behind it as the run's staleness
             allows, and of the next; in their order.
-        episodes: the `/episode` records.
+        episodes: the `/episode` records; of those before the segments, the ones that mean returns still depend on.
         environments: (version, slot, generation) of the environment states in the log.
         ahead: (topic, version) of records beyond the last update.
         set_aside: places of the rollouts that were set aside, by the version that they would have updated.
         first_version: version of the first update in each segment; None where it has none.
-        chain: of the whole log.
+        chain: of the log, followed from the first of the segments on.
     """
 
     run_dir: Path
     settings: RunSettings
     segments: list[Path]
+    before: Tally
+    tally: Tally
     updates: dict[int, UpdateEntry] = field(default_factory=dict)
     unused: list[Rollout] = field(default_factory=list)
     episodes: list[dict[str, Any]] = field(default_factory=list)
@@ -63,7 +73,7 @@ class LoggedRun:
     @property
     def last(self) -> int:
         """Version of the last update, 0 where there is none."""
-        return max(self.updates, default=0)
+        return max(self.updates, default=self.before.version)
 
     def places(self, after: int) -> list[tuple[RolloutId, ...]]:
         """Places of the rollouts of every update after that version.
@@ -86,45 +96,103 @@ class LoggedRun:
         return read_updates(messages, self.run_dir, self.settings, after=version)
 
 
-def read_logged_run(run_dir: Path, settings: RunSettings) -> LoggedRun:
-    """Read the log of a run with these settings.
+class LogIndexer:
+    """Reads as much of a run's log as a version needs, and more only where an older version needs more.
+
+    Args:
+        on_read: as `OnRead`.
 
     Raises:
-        LogReadError: there is none, or it is damaged.
-        CodecError: a message of it does not fit its channel.
+        LogReadError: there is no log.
     """
-    found = LoggedRun(run_dir, settings, find_segments(run_dir))
+
+    def __init__(self, run_dir: Path, settings: RunSettings, on_read: OnRead | None = None) -> None:
+        self._run_dir = run_dir
+        self._settings = settings
+        self._on_read = on_read or _ignore
+        self._segments = find_segments(run_dir)
+        self._first = len(self._segments)
+        self._found: LoggedRun | None = None
+
+    @property
+    def skipped(self) -> int:
+        """Segments that were not read."""
+        return self._first
+
+    def since(self, version: int) -> LoggedRun:
+        """The log from the update to `version` on, or more of it; all that there is for 0.
+
+        Raises:
+            LogReadError: the log is damaged, or not as this release writes it.
+        """
+        try:
+            first = first_needed(self._segments, version, self._settings.staleness) if version else 0
+            if self._found is None or first < self._first:
+                self._found = read_logged_run(self._run_dir, self._settings, self._segments[first:], self._on_read)
+                self._first = first
+        except (CodecError, KeyError, TypeError, ValueError) as error:
+            raise LogReadError(
+                f"the log in {self._run_dir} cannot be used: {error!r}; resume it with the release that wrote it"
+            ) from None
+        return self._found
+
+
+def read_logged_run(run_dir: Path, settings: RunSettings, segments: list[Path], on_read: OnRead) -> LoggedRun:
+    """Read these segments, the newest of the log of a run with these settings.
+
+    Raises:
+        LogReadError: one is damaged.
+        CodecError: a message does not fit its channel.
+    """
+    before, tally = (read_tally(segments[0], settings.updates) for _ in range(2))
+    found = LoggedRun(run_dir, settings, segments, before, tally)
+    found.episodes = [asdict(ended) for ended in before.window]
     newest: dict[str, LogMessage] = {}
     # Those of one version lie among (S + 1) K that came before it was used up and (S + 1) K that came after.
     rollouts: deque[bytes] = deque(maxlen=(UNUSED_UPDATES + 1 + 2 * settings.staleness) * settings.actors)
-    for path in found.segments:
-        first: int | None = None
-        for message in LogReader(path).messages(chain=found.chain):
-            if message.topic != "/eval" or is_of_the_run(message.json()):
-                newest[message.topic] = message
-            if message.topic == "/rollout":
-                rollouts.append(message.data)
-            elif message.topic == "/update":
-                version = _add_update(found, message.json())
-                first = version if first is None else first
-            elif message.topic == "/set_aside":
-                record = message.json()
-                found.set_aside.setdefault(int(record["version"]), set()).update(_places(record))
-            elif message.topic == "/episode":
-                found.episodes.append(message.json())
-            elif message.topic == "/environment":
-                kept = Environment.decode(message.data)
-                found.environments.add((kept.version, kept.slot, kept.generation))
-        found.first_version.append(first)
+    for path, message in _messages(found, on_read):
+        if message.topic != "/eval" or is_of_the_run(message.json()):
+            newest[message.topic] = message
+        tally.began_ns = tally.began_ns or message.t_ns
+        if message.topic == "/rollout":
+            rollouts.append(message.data)
+        elif message.topic == "/environment":
+            kept = Environment.decode(message.data)
+            found.environments.add((kept.version, kept.slot, kept.generation))
+        elif message.topic in ("/update", "/set_aside", "/episode"):
+            _add_record(found, message.topic, message.json(), segments.index(path))
     found.unused = _unused(found, rollouts)
     found.ahead = _ahead(found.last, newest)
     return found
 
 
-def _add_update(found: LoggedRun, record: dict[str, Any]) -> int:
-    version = int(record["version"])
-    found.updates[version] = UpdateEntry(record["state_digest"], _places(record))
-    return version
+def _messages(found: LoggedRun, on_read: OnRead) -> Iterator[tuple[Path, LogMessage]]:
+    sizes = [path.stat().st_size for path in found.segments]
+    for number, path in enumerate(found.segments):
+        found.first_version.append(None)
+        read = sum(sizes[:number])
+        for message in LogReader(path).messages(chain=found.chain):
+            # Compressed, a segment has more bytes of messages than of file.
+            read = min(read + len(message.data), sum(sizes[: number + 1]))
+            on_read(read, sum(sizes))
+            yield path, message
+
+
+def _add_record(found: LoggedRun, topic: str, record: dict[str, Any], segment: int) -> None:
+    found.tally.count(topic, record)
+    if topic == "/episode":
+        found.episodes.append(record)
+    elif topic == "/set_aside":
+        found.set_aside.setdefault(int(record["version"]), set()).update(_places(record))
+    else:
+        version = int(record["version"])
+        found.updates[version] = UpdateEntry(record["state_digest"], _places(record))
+        if found.first_version[segment] is None:
+            found.first_version[segment] = version
+
+
+def _ignore(read: int, total: int) -> None:
+    """Takes the progress where no caller asks for it."""
 
 
 def _places(record: dict[str, Any]) -> tuple[RolloutId, ...]:

@@ -12,7 +12,7 @@ from common.config.settings import RunSettings
 from common.errors import CheckpointError, CodecError
 from common.wire.messages import Snapshot
 from services.learner.resume.environment_soundness import unsound_environments
-from services.learner.resume.logged_run import LoggedRun
+from services.learner.resume.logged_run import LoggedRun, LogIndexer
 from services.learner.scheduling.slots import Start
 from services.learner.training.checkpoints import list_checkpoints, quarantine, read_checkpoint, read_environments
 
@@ -34,38 +34,49 @@ class _Incomplete(Exception):
 
 
 def choose_restore_point(
-    run: str, settings: RunSettings, run_dir: Path, logged: LoggedRun, notes: list[str]
-) -> RestorePoint:
-    """The newest checkpoint that is whole, of this run and complete; else the beginning.
+    run: str, settings: RunSettings, run_dir: Path, log: LogIndexer, notes: list[str]
+) -> tuple[RestorePoint, LoggedRun]:
+    """The newest checkpoint that is whole, of this run and complete, else the beginning; and the log as it needs it.
 
     The reason why a newer one is not taken is added to `notes`; a damaged one is quarantined.
 
     Raises:
         CheckpointError: there is neither a checkpoint nor the beginning of the log.
+        LogReadError: the log is damaged.
     """
     for path in reversed(list_checkpoints(run_dir)):
         try:
-            return _restore(path, run, settings, logged)
+            state = _read_state(path, run)
+            logged = log.since(state.version)
+            return _restore(path, state, settings, logged), logged
         except CheckpointError as error:
             notes.append(f"warning: {error}")
             quarantine(path)
         except _Incomplete as reason:
             notes.append(f"not from checkpoint {path.name}: {reason}")
-    if logged.updates and min(logged.updates) > 1:
+    logged = log.since(0)
+    if logged.before.version or (logged.updates and min(logged.updates) > 1):
         raise CheckpointError(
-            f"{run_dir} has no checkpoint to go on from, and its log begins at update {min(logged.updates)}; "
+            f"{run_dir} has no checkpoint to go on from, and its log begins at update "
+            f"{min(logged.updates, default=logged.before.version + 1)}; "
             "restore a checkpoint or the log's first files from a copy"
         )
     # An actor lost before its first rollout may have advanced a generation; only the log can tell.
-    return RestorePoint(0, None, [Start(0) for _ in range(settings.actors)])
+    return RestorePoint(0, None, [Start(0) for _ in range(settings.actors)]), logged
 
 
-def _restore(path: Path, run: str, settings: RunSettings, logged: LoggedRun) -> RestorePoint:
-    """The restore point of a checkpoint. CheckpointError: it contradicts the run; _Incomplete: it came too late."""
+def _read_state(path: Path, run: str) -> Snapshot:
     state = read_checkpoint(path)
     if state.run != run:
         raise CheckpointError(f"{path} is of the run {state.run!r}, not of {run!r}")
+    return state
+
+
+def _restore(path: Path, state: Snapshot, settings: RunSettings, logged: LoggedRun) -> RestorePoint:
+    """The restore point of a checkpoint. CheckpointError: it contradicts the run; _Incomplete: it came too late."""
     entry = logged.updates.get(state.version)
+    if entry is None and state.version <= logged.before.version:
+        raise _Incomplete(f"the log begins after update {logged.before.version}: what follows it was removed")
     if entry is None:
         raise _Incomplete(f"the log ends at update {logged.last}, before it")
     if entry.digest != state.digest:

@@ -57,7 +57,7 @@ class ResumedReplay:
 
     def returns(self, updates: int) -> TrainingReturn:
         """The training returns of a run of so many updates, up to the restore point."""
-        returns = TrainingReturn(updates)
+        returns = TrainingReturn(updates, episodes=self._resumption.earlier_episodes)
         for record in self._resumption.episodes:
             returns.recall(record)
         return returns

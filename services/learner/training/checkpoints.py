@@ -31,15 +31,15 @@ _NAME = re.compile(r"(\d{8})\.ckpt")
 _LIMITS = Limits(max_message=1 << 32, max_bin=1 << 32)
 
 
-def write_checkpoint(run_dir: Path, state: Snapshot) -> Path:
-    """Write a state, then delete all but the newest few.
+def write_checkpoint(run_dir: Path, state: Snapshot, kept: int = KEPT_CHECKPOINTS) -> Path:
+    """Write a state, then delete all but the newest `kept`.
 
     Raises:
         CheckpointError: the file cannot be written; older checkpoints are untouched.
     """
     path = run_dir / CHECKPOINTS / f"{state.version:08d}.ckpt"
     _write(path, state)
-    _drop_old(run_dir)
+    _drop_old(run_dir, kept)
     return path
 
 
@@ -107,13 +107,14 @@ def read_checkpoint(path: Path) -> Snapshot:
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """The checkpoint files of one run. CheckpointError where one cannot be written."""
+    """The checkpoint files of one run, of which `kept` are left. CheckpointError where one cannot be written."""
 
     run: str
     run_dir: Path
+    kept: int = KEPT_CHECKPOINTS
 
     def keep(self, version: int, state: dict[str, np.ndarray]) -> None:
-        write_checkpoint(self.run_dir, Snapshot(self.run, version, digest_arrays(state), state))
+        write_checkpoint(self.run_dir, Snapshot(self.run, version, digest_arrays(state), state), self.kept)
 
     def keep_environments(self, kept: KeptEnvironments) -> None:
         write_environments(self.run_dir, kept)
@@ -144,11 +145,11 @@ def _failure(path: Path, error: OSError) -> CheckpointError:
     )
 
 
-def _drop_old(run_dir: Path) -> None:
+def _drop_old(run_dir: Path, kept: int) -> None:
     """Delete all but the newest few, and the newest that has its environments: the run can go on from that."""
     present = list_checkpoints(run_dir)
     complete = [path for path in present if path.with_suffix(ENVIRONMENTS).exists()]
-    for old in present[:-KEPT_CHECKPOINTS]:
+    for old in present[:-kept]:
         if old in complete[-1:]:
             continue
         try:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from samples import rollout
 
-from services.learner.reporting.statistics import RECENT_EPISODES, Episodes, TrainingReturn, actor_seconds, step_reward
+from common.runs.tally import RECENT_EPISODES
+from services.learner.reporting.statistics import Episodes, TrainingReturn, actor_seconds, step_reward
 
 
 def ended(*episodes: tuple[float, int]) -> dict[str, Any]:
