@@ -19,7 +19,7 @@ from jaxtyping import Float, Int, Key
 from common.config.settings import AlgorithmSettings, RunSettings
 from common.learners import LEARNERS, Learner
 from common.maths import gaussians, objectives, policy, returns, running
-from common.maths.critic.kernel_critic import KernelCritic, make_kernel_critic
+from common.maths.critic.kernel_critic import KernelCritic, NoCorrection, make_kernel_critic
 from common.maths.diagnostics import Diagnostics, finiteness
 from common.maths.functional import FunctionalStep, Metrics
 from common.maths.networks import Networks, Parameters, within_bound
@@ -63,9 +63,8 @@ class Update:
         whitened = self._whitened(state, batch)
         by_step = self._samples(state, whitened, reward)
         samples = jax.tree.map(flatten, by_step)
-        # Equal to the samples' value without a kernel critic: the compiler makes one array of both.
-        network_value = self._network_value(state, by_step.obs)
-        parameters, optimiser, losses = self._train_networks(state, samples, flatten(network_value), shuffle_key)
+        network_value = self._network_value(state, samples)
+        parameters, optimiser, losses = self._train_networks(state, samples, network_value, shuffle_key)
         critic, critic_metrics = self.critic.refit(state.critic, parameters, by_step.obs, by_step.target)
         expansion, representation_state, rkhs_metrics = state.expansion, state.representation_state, Metrics()
         pairs = self._pairs(state, whitened, by_step, return_moments)
@@ -192,10 +191,11 @@ class Update:
         flat = obs.reshape(-1, obs.shape[-1])
         return self.critic.value(state.critic, state.parameters, flat).reshape(obs.shape[:-1])
 
-    def _network_value(self, state: LearnerState, obs: Float[Array, "*batch O"]) -> Float[Array, "*batch"]:
-        """V without its correction."""
-        flat = obs.reshape(-1, obs.shape[-1])
-        return self.networks.value(state.parameters["critic"], flat).reshape(obs.shape[:-1])
+    def _network_value(self, state: LearnerState, samples: Samples) -> Float[Array, "B"]:
+        """V without its correction, at all transitions in one axis."""
+        if isinstance(state.critic, NoCorrection):
+            return samples.value  # the same array, so that a minibatch takes its rows once
+        return self.networks.value(state.parameters["critic"], samples.obs)
 
     def _train_networks(
         self, state: LearnerState, samples: Samples, network_value: Float[Array, "B"], key: Key[Array, ""]
