@@ -387,7 +387,7 @@ def _heartbeat(slot: int, incarnation: str) -> Heartbeat:
 
 
 def _environment(slot: int, incarnation: str, version: int) -> Environment:
-    shapes = state_shapes(SETTINGS.task, SETTINGS.envs_per_actor)
+    shapes = state_shapes(SETTINGS.sizes, SETTINGS.envs_per_actor)
     arrays = {path: np.zeros(shape, dtype) for path, (dtype, shape) in shapes.items()}
     return Environment(RUN, slot, incarnation, 0, 1, version, digest_arrays(arrays), arrays)
 

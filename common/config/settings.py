@@ -8,79 +8,30 @@ given by `--config`, the defaults below (those of the paper's Table 1, as far as
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
-from pydantic import field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from common.config import critic as critics
+from common.config.algorithm import AlgorithmSettings
 from common.config.critic import CriticSettings
 from common.config.kinds import (
     Count,
-    Fraction,
     Kept,
     Names,
     Natural,
-    NotNegative,
     Port,
     Positive,
     Section,
     Seed,
     Staleness,
-    Widths,
 )
+from common.config.randomisation import NOT_RANDOMISED, RandomisationSettings
 from common.config.rkhs import RkhsSettings, impossibility
 from common.engine_names import PHYSICS
 from common.learners import LEARNERS
 from common.suggestions import unknown_name
-from common.tasks import EPISODE_LENGTH, TASKS
-
-
-class AlgorithmSettings(Section):
-    """Actor-critic networks and their objective (paper, Table 1; PureJaxRL where the paper does not say)."""
-
-    objective: Literal["auto", "clip", "dpo"] = "auto"
-    """what trains the policy's networks: PPO's clip, DPO's drift, or auto for the learner's own"""
-    gamma: Fraction = 0.99
-    """discount factor"""
-    gae_lambda: Fraction = 0.95
-    """lambda of generalised advantage estimation"""
-    epochs: Count = 4
-    """passes over a batch in one update"""
-    minibatches: Count = 32
-    """minibatches of one pass, each of at least two transitions"""
-    learning_rate: Positive = 3e-4
-    """Adam's step size for the networks"""
-    adam_eps: Positive = 1e-5
-    """Adam's epsilon"""
-    max_grad_norm: Positive = 0.5
-    """global norm to which network gradients are clipped"""
-    clip: Positive = 0.2
-    """PPO's clip range of the probability ratio, and of the change of the value"""
-    value_coefficient: NotNegative = 0.5
-    """weight of the value loss"""
-    entropy_coefficient: NotNegative = 0.0
-    """weight of the entropy bonus"""
-    max_log_std: Positive | None = None
-    """bound on |log_std|, kept after every step of Adam; default: none"""
-    dpo_alpha: Positive = 2.0
-    """DPO drift for positive advantages"""
-    dpo_beta: Positive = 0.6
-    """DPO drift for negative advantages"""
-    hidden: Widths = (256, 256)
-    """widths of the tanh layers of the feature network and the critic; the last is the feature size d"""
-    normalise_observations: bool = True
-    """normalise observations by their running mean and variance"""
-    normalise_rewards: bool = True
-    """divide rewards by the running standard deviation of the discounted return"""
-    bootstrap_at_truncation: bool = False
-    """bootstrap from the critic where the time limit truncates an episode; the paper does not"""
-
-    @field_validator("hidden")
-    @classmethod
-    def _has_layers(cls, hidden: tuple[int, ...]) -> tuple[int, ...]:
-        if not hidden:
-            raise ValueError("needs at least one layer, for example 256,256")
-        return hidden
+from common.tasks import EPISODE_LENGTH, GYMNASIUM, Task, find_task, task_fault
 
 
 class TransportSettings(Section):
@@ -136,11 +87,17 @@ class EvaluationSettings(Section):
     """episodes of the final evaluation; 0: none"""
 
 
+def _is_none(value: object) -> bool:
+    return value is None
+
+
 class RunSettings(Section):
     """All settings of one training run."""
 
+    task_pin: str | None = Field(default=None, exclude_if=_is_none)
+    """sizes and digest of a task of your own, found at start; processes with another version of it are refused"""
     task: str = "inverted_pendulum"
-    """task to train on"""
+    """task to train on: a name that `reskpn tasks` lists, or module:Class"""
     learner: str = "reskpn"
     """learning algorithm"""
     physics: str = "auto"
@@ -168,6 +125,7 @@ class RunSettings(Section):
     initial_states: Literal["fixed", "new"] = "fixed"
     """fixed: every environment starts all its episodes in the same state; new: each episode's state is drawn anew"""
 
+    randomisation: RandomisationSettings = Field(default=NOT_RANDOMISED, exclude_if=RandomisationSettings.is_off)
     algorithm: AlgorithmSettings = AlgorithmSettings()
     rkhs: RkhsSettings = RkhsSettings()
     critic: CriticSettings = CriticSettings()
@@ -175,11 +133,18 @@ class RunSettings(Section):
     log: LogSettings = LogSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _usual_length(cls, values: Any) -> Any:
+        """Take the usual episode length of Gymnasium's tasks for the default."""
+        task = GYMNASIUM.get(str(values.get("task"))) if isinstance(values, dict) else None
+        return values if task is None else {"episode_length": task.episode_length, **values}
+
     @field_validator("task")
     @classmethod
-    def _known_task(cls, task: str) -> str:
-        if task not in TASKS:
-            raise ValueError(unknown_name("task", task, TASKS))
+    def _known_task(cls, task: str, info: ValidationInfo) -> str:
+        if (fault := task_fault(task, info.data.get("task_pin"))) is not None:
+            raise ValueError(fault)
         return task
 
     @field_validator("learner")
@@ -246,6 +211,11 @@ class RunSettings(Section):
             f"rkhs.feature_gradient false leaves nothing that trains the features of {self.learner}, which has no "
             "residual layer; choose learner reskpn, or rkhs.feature_gradient true"
         )
+
+    @property
+    def sizes(self) -> Task:
+        """The sizes of the task. SettingsError for a task of one's own that has not been read yet."""
+        return find_task(self.task, self.task_pin)
 
     @property
     def batch_size(self) -> int:

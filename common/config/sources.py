@@ -130,6 +130,14 @@ def load_over(
     return _validated([*sources, Source("the run", base.model_dump(mode="json", exclude=exclude))])
 
 
+def task_given(
+    options: CliSettingsSource[Any] | None, arguments: argparse.Namespace | None, *, config: str | None = None
+) -> str | None:
+    """The task that the command line, the environment or the file names; None where none does."""
+    sources = _sources(options, arguments, config, None)
+    return next((str(source.values["task"]) for source in sources if "task" in source.values), None)
+
+
 def _sources(
     options: CliSettingsSource[Any] | None,
     arguments: argparse.Namespace | None,

@@ -1,6 +1,6 @@
-"""The eight tasks as batches of environments that reset themselves.
+"""Tasks as batches of environments that reset themselves.
 
-Observations, rewards and terminations are those of `brax.envs`. This module adds to every step, in this order: actions
+Observations, rewards and terminations are the task's. This module adds to every step, in this order: actions
 are clipped to [-1, 1]; a diverged simulation is terminated; an episode is truncated at its length; an environment whose
 episode ended returns to its initial state, or to a new one.
 """
@@ -14,14 +14,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from common.errors import SettingsError
-from common.physics.bodies import Bodies, Engine
+from common.errors import PhysicsError, SettingsError
+from common.physics.bodies import Engine, Layout, State
 from common.physics.engines import MJX, NATIVE, require_synchronous_dispatch, resolve_physics
-from common.physics.libraries import envs
+from common.physics.libraries import mjx
+from common.physics.lookup import load_definition
 from common.physics.mjx import MjxEngine
 from common.physics.models import c_model, load_task
 from common.physics.native import NativeEngine
-from common.tasks import EPISODE_LENGTH
+from common.physics.randomisation import Ranges, draw
+from common.physics.runners import BraxRunner, Runner, TaskRunner
+from common.physics.simulation import ReadingLayout
+from common.tasks import EPISODE_LENGTH, TASKS
 
 LARGEST = 1e10
 """Absolute value from which a joint position, velocity or acceleration counts as diverged: MuJoCo's `mjMAXVAL`."""
@@ -32,10 +36,10 @@ LARGEST = 1e10
 class EnvState:
     """The complete state of N environments. A pytree of arrays with the batch axis in front."""
 
-    bodies: Bodies
+    bodies: State
     obs: jax.Array
     """[N, O] float32."""
-    first_bodies: Bodies
+    first_bodies: State
     """The state to which each environment returns when an episode ends, unless new states are drawn."""
     first_obs: jax.Array
     """[N, O] float32."""
@@ -74,19 +78,20 @@ class BatchedEnvironment:
     Called from outside a compiled function they are compiled as well, once each.
     """
 
-    def __init__(self, task: Any, engine: Engine, num_envs: int, episode_length: int) -> None:
-        """`task` is a brax environment; its physics is replaced by `engine`."""
-        task.pipeline_init = lambda q, qd, act=None, ctrl=None: engine.reset(q, qd)
-        task.pipeline_step = engine.step
-        self._task = task
+    def __init__(
+        self, runner: Runner, engine: Engine, num_envs: int, episode_length: int, randomised: Ranges | None = None
+    ) -> None:
+        """`randomised`: ranges of the factors of the model's fields, by name."""
+        self._runner = runner
         self._engine = engine
         self._episode_length = episode_length
+        self._ranges = randomised or {}
         self.num_envs = num_envs
         self.physics = engine.name
-        self.action_size = int(task.action_size)
-        self.step_s = float(task.dt)
-        self.observation_size = int(jax.eval_shape(task.reset, jax.random.key(0)).obs.shape[-1])
+        self.action_size = runner.action_size
+        self.step_s = runner.step_s
         self._reset, self._step = jax.jit(self._reset_all), jax.jit(self._step_all)
+        self.observation_size = int(jax.eval_shape(self._reset_all, jax.random.key(0)).obs.shape[-1])
 
     def reset(self, key: jax.Array) -> EnvState:
         """Initial states of N episodes, drawn independently."""
@@ -106,13 +111,14 @@ class BatchedEnvironment:
         return self._engine.seconds()
 
     def _reset_all(self, key: jax.Array) -> EnvState:
-        first = jax.vmap(self._task.reset)(jax.random.split(key, self.num_envs))
+        scales = draw(key, self._ranges, self.num_envs)
+        bodies, obs = jax.vmap(self._runner.reset)(jax.random.split(key, self.num_envs), scales)
         counts = jnp.zeros(self.num_envs, jnp.int32)
         state = EnvState(
-            bodies=first.pipeline_state,
-            obs=first.obs,
-            first_bodies=first.pipeline_state,
-            first_obs=first.obs,
+            bodies=bodies,
+            obs=obs,
+            first_bodies=bodies,
+            first_obs=obs,
             steps=counts,
             episode_return=jnp.zeros(self.num_envs, jnp.float32),
             diverged=counts,
@@ -121,7 +127,7 @@ class BatchedEnvironment:
 
     def _step_all(self, state: EnvState, action: jax.Array, reset_key: jax.Array | None) -> tuple[EnvState, Transition]:
         action = jnp.clip(action, -1.0, 1.0)
-        bodies, obs, reward, ended = jax.vmap(self._step_task)(state.bodies, action)
+        bodies, obs, reward, ended = jax.vmap(self._runner.step)(state.bodies, action)
         diverged = ~jax.vmap(_is_sound)(bodies, obs, reward)
         reward = jnp.where(diverged, 0.0, reward)
         next_obs = jnp.where(diverged[:, None], state.obs, obs)
@@ -150,26 +156,18 @@ class BatchedEnvironment:
         )
         return _strongly_typed((state, transition))
 
-    def _initial(self, state: EnvState, over: jax.Array, reset_key: jax.Array | None) -> tuple[Bodies, jax.Array]:
+    def _initial(self, state: EnvState, over: jax.Array, reset_key: jax.Array | None) -> tuple[State, jax.Array]:
         """The bodies and observations [N, O] in which the episodes after those that are `over` [N] start."""
         first = _strongly_typed((state.first_bodies, state.first_obs))
         if reset_key is None:
             return first
 
-        def draw() -> tuple[Bodies, jax.Array]:
-            drawn = jax.vmap(self._task.reset)(jax.random.split(reset_key, self.num_envs))
-            return _strongly_typed((drawn.pipeline_state, drawn.obs))
+        def new() -> tuple[State, jax.Array]:
+            keys = jax.random.split(reset_key, self.num_envs)
+            return _strongly_typed(jax.vmap(self._runner.reset)(keys, state.bodies.scales))
 
         # Drawing costs a forward pass of all environments, and in most steps no episode ends.
-        return jax.lax.cond(jnp.any(over), draw, lambda: first)
-
-    def _step_task(self, bodies: Bodies, action: jax.Array) -> tuple[Bodies, jax.Array, jax.Array, jax.Array]:
-        """brax's own step of one environment: bodies, obs [O], reward [] and termination []."""
-        zero = jnp.zeros(())
-        # The tasks read nothing but the bodies of the state before the step.
-        before = envs.State(pipeline_state=bodies, obs=zero, reward=zero, done=zero, metrics={}, info={})
-        after = self._task.step(before, action)
-        return after.pipeline_state, after.obs, jnp.asarray(after.reward, jnp.float32), after.done > 0
+        return jax.lax.cond(jnp.any(over), new, lambda: first)
 
 
 def make_environment(
@@ -179,15 +177,17 @@ def make_environment(
     num_envs: int,
     episode_length: int = EPISODE_LENGTH,
     threads: int = 0,
+    randomised: Ranges | None = None,
 ) -> BatchedEnvironment:
     """A batch of environments of a task.
 
     Args:
-        task: a name in `common.tasks.TASKS`.
+        task: a name that `common.tasks.find_task` knows.
         physics: "auto", "mjx" or "native"; see `common.physics.engines`.
         num_envs: N.
         episode_length: steps after which an episode is truncated.
         threads: threads of the native engine, including the caller's; 0 is one per core. They do not affect results.
+        randomised: ranges of the factors of the model's fields, by name (`RandomisationSettings.ranges`).
 
     Raises:
         SettingsError: a name is unknown or a number out of range.
@@ -199,14 +199,39 @@ def make_environment(
     _check_at_least({"threads": threads}, 0)
     if engine_name == NATIVE:
         require_synchronous_dispatch()
-    environment = load_task(task)
+    make = _make_brax if task in TASKS else _make_own
+    runner, engine = make(task, engine_name, num_envs, threads)
+    return BatchedEnvironment(runner, engine, num_envs, episode_length, randomised)
+
+
+def _make_brax(name: str, engine_name: str, num_envs: int, threads: int) -> tuple[Runner, Engine]:
+    environment = load_task(name)
     substeps = environment._n_frames
     engine: Engine
     if engine_name == MJX:
         engine = MjxEngine(environment.sys, substeps)
     else:
         engine = NativeEngine(c_model(environment), substeps, num_envs, threads)
-    return BatchedEnvironment(environment, engine, num_envs, episode_length)
+    return BraxRunner(environment, engine), engine
+
+
+def _make_own(name: str, engine_name: str, num_envs: int, threads: int) -> tuple[Runner, Engine]:
+    task = load_definition(name)
+    layout: Layout = ReadingLayout(task.model, task.reads)
+    engine: Engine
+    if engine_name == MJX:
+        engine = MjxEngine(_on_device(name, task.model), task.frame_skip, layout)
+    else:
+        engine = NativeEngine(task.model, task.frame_skip, num_envs, threads, layout)
+    return TaskRunner(task, engine), engine
+
+
+def _on_device(name: str, model: Any) -> Any:
+    """The model for MJX. Raises PhysicsError: MJX does not have all that it uses."""
+    try:
+        return mjx.put_model(model)
+    except NotImplementedError as error:
+        raise PhysicsError(f"MJX cannot simulate task {name}: {error}; choose physics native") from None
 
 
 def _check_at_least(given: Mapping[str, int], least: int) -> None:
@@ -215,7 +240,7 @@ def _check_at_least(given: Mapping[str, int], least: int) -> None:
             raise SettingsError(f"{name} is {value}; it must be at least {least}")
 
 
-def _is_sound(bodies: Bodies, obs: jax.Array, reward: jax.Array) -> jax.Array:
+def _is_sound(bodies: State, obs: jax.Array, reward: jax.Array) -> jax.Array:
     """True for a simulation that has not diverged: a bool []."""
     # A comparison with NaN is false, so that NaN counts as diverged.
     moving = jnp.concatenate([bodies.q, bodies.qd, bodies.warmstart])

@@ -15,8 +15,9 @@ import numpy as np
 
 from common.cores import usable_cores
 from common.errors import PhysicsError
-from common.physics.bodies import Bodies, bodies_from
+from common.physics.bodies import FrameLayout, Layout, Scales
 from common.physics.engines import NATIVE
+from common.physics.randomisation import scaled_fields
 
 _LOST = [
     int(warning)
@@ -33,7 +34,7 @@ _LOST = [
 class NativeEngine:
     """Steps `num_envs` simulations of one model with `mujoco.batch`, in float64 between float32 states.
 
-    `reset` and `step` are written for one simulation, as brax's tasks are, and must be mapped with `jax.vmap` over
+    `reset` and `step` are written for one simulation, as tasks are, and must be mapped with `jax.vmap` over
     exactly `num_envs` of them; the map turns them into one host callback for the batch. A call loads each simulation's
     complete state, so that results depend on the arguments alone, not on earlier calls or the number of threads.
 
@@ -43,8 +44,10 @@ class NativeEngine:
 
     name = NATIVE
 
-    def __init__(self, model: mujoco.MjModel, substeps: int, num_envs: int, threads: int) -> None:
-        """`threads` includes the calling thread; 0 is one per core that this process may use.
+    def __init__(
+        self, model: mujoco.MjModel, substeps: int, num_envs: int, threads: int, layout: Layout | None = None
+    ) -> None:
+        """`threads` includes the calling thread; 0 is one per core that this process may use. `layout`: of the states.
 
         Raises:
             PhysicsError: the installed MuJoCo has no batch engine.
@@ -52,8 +55,9 @@ class NativeEngine:
         make_batch, self._failure = _batch_engine()
         workers = min(threads or usable_cores(), num_envs)
         self._make_batch = functools.partial(make_batch, model, num_envs, workers)
+        self._layout = layout or FrameLayout(model)
         self._substeps = substeps
-        self._sizes = model.nq, model.nv, model.nu, model.nbody - 1
+        self._sizes = model.nu, model.nv
         self._seconds = 0.0
         # Programs on different threads may share this engine, but a batch serves one caller at a time.
         self._lock = threading.Lock()
@@ -66,44 +70,42 @@ class NativeEngine:
         that starts them; started anywhere else, they would treat denormals differently from the calling thread, which
         steps simulations as well, and results would depend on which thread steps which simulation.
         """
-        return _BatchArrays(self._make_batch())
+        return _BatchArrays(self._make_batch(), self._layout)
 
-    def reset(self, q: jax.Array, qd: jax.Array) -> Bodies:
-        _, velocities, commands, _ = self._sizes
-        return self._call(_forward, q, qd, jnp.zeros(commands), jnp.zeros(velocities))
+    def reset(self, q: jax.Array, qd: jax.Array, scales: Scales | None = None) -> Any:
+        commands, velocities = self._sizes
+        first = (jnp.asarray(field, jnp.float32) for field in self._layout.first())
+        return self._call(_forward, (q, qd, jnp.zeros(commands), jnp.zeros(velocities), *first), scales or {})
 
-    def step(self, bodies: Bodies, ctrl: jax.Array) -> Bodies:
+    def step(self, state: Any, ctrl: jax.Array) -> Any:
         advance = functools.partial(_step, nstep=self._substeps)
-        return self._call(advance, bodies.q, bodies.qd, ctrl, bodies.warmstart)
+        carried = self._layout.carried_of(state)
+        return self._call(advance, (state.q, state.qd, ctrl, state.warmstart, *carried), state.scales)
 
     def seconds(self) -> float:
         """Seconds spent inside MuJoCo's batch calls so far."""
         return self._seconds
 
-    def _call(self, run: Callable[[Any], None], *inputs: jax.Array) -> Bodies:
-        positions, velocities, _, bodies = self._sizes
-        shapes = (
-            (positions,),
-            (velocities,),
-            (bodies, 3),
-            (bodies, 4),
-            (bodies, 6),
-            (bodies, 3),
-            (velocities,),
-        )
+    def _call(self, run: Callable[[Any], None], inputs: Sequence[jax.Array], scales: Scales) -> Any:
         results = jax.pure_callback(
-            functools.partial(self._on_host, run),
-            tuple(jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes),
+            functools.partial(self._on_host, run, tuple(scales)),
+            tuple(jax.ShapeDtypeStruct(shape, jnp.float32) for shape in self._layout.shapes()),
             *inputs,
+            *scales.values(),
             vmap_method="broadcast_all",
         )
-        return bodies_from(*results)
+        return self._layout.state(results, scales)
 
-    def _on_host(self, run: Callable[[Any], None], *inputs: Any) -> tuple[np.ndarray, ...]:
-        """Run `run` on the batch from `inputs` ([N, nq], [N, nv], [N, nu], [N, nv]); [N, ...] float32 results."""
+    def _on_host(self, run: Callable[[Any], None], scaled: tuple[str, ...], *inputs: Any) -> tuple[np.ndarray, ...]:
+        """Run `run` on the batch; [N, ...] float32 results.
+
+        `inputs`: qpos [N, nq], qvel [N, nv], ctrl [N, nu], warm start [N, nv], what is carried, and the factors [N] of
+        what is `scaled`.
+        """
         with self._lock:
             arrays = self._arrays
-            arrays.load(inputs)
+            state = inputs[: len(inputs) - len(scaled)]
+            arrays.load(state, dict(zip(scaled, inputs[len(state) :], strict=True)))
             lost = self._timed(run, arrays.batch)
             results = arrays.results()
         if lost.any():
@@ -126,37 +128,25 @@ class NativeEngine:
 class _BatchArrays:
     """A batch and its arrays on the host."""
 
-    def __init__(self, batch: Any) -> None:
+    def __init__(self, batch: Any, layout: Layout) -> None:
         self.batch = batch
         # Steps change these and the inputs; all else in the state stays as it is, or is set to the model's default
         # by MuJoCo where a simulation diverged.
-        self._carried = [batch.bind(name) for name in ("time", "act", "history", "plugin_state", "plastic")]
-        self._defaults = [field.copy() for field in self._carried]
-        self._inputs = [batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qacc_warmstart")]
-        self._kinematics = [batch.bind(name) for name in ("xpos", "xquat", "cvel", "subtree_com")]
-        root = batch.model.body_rootid[1:]
-        # A slice, where all bodies belong to one tree, is subtracted without being gathered first.
-        self._root = slice(root[0], root[0] + 1) if (root == root[0]).all() else root
+        changing = ("time", "act", "history", "plugin_state", "plastic")
+        self._rest = [batch.bind(name) for name in changing if name not in layout.carried]
+        self._defaults = [field.copy() for field in self._rest]
+        self._inputs = [batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qacc_warmstart", *layout.carried)]
+        self.results = layout.bind(batch)
 
-    def load(self, inputs: Sequence[Any]) -> None:
-        """Set the complete state of each simulation: the defaults and `inputs`."""
-        for field, default in zip(self._carried, self._defaults, strict=True):
+    def load(self, inputs: Sequence[Any], scales: dict[str, Any]) -> None:
+        """Set the complete state of each simulation, the defaults and `inputs`, and its randomised model fields."""
+        for field, default in zip(self._rest, self._defaults, strict=True):
             field[:] = default
         self.batch.warning[:] = 0
         for field, given in zip(self._inputs, inputs, strict=True):
             field[:] = np.asarray(given)
-
-    def results(self) -> tuple[np.ndarray, ...]:
-        """The fields of `bodies_from`, [N, ...] float32."""
-        qpos, qvel, _, warmstart = self._inputs
-        xpos, xquat, cvel, subtree_com = self._kinematics
-        frames = xpos[:, 1:]
-        lever = np.subtract(frames, subtree_com[:, self._root], out=np.empty(frames.shape, np.float32))
-        # Copies, since the next call overwrites the batch's own arrays.
-        q, qd, x, rot, cvel, solved = (
-            array.astype(np.float32, order="C") for array in (qpos, qvel, frames, xquat[:, 1:], cvel[:, 1:], warmstart)
-        )
-        return q, qd, x, rot, cvel, lever, solved
+        for name, values in scaled_fields(self.batch.model, scales, np):
+            self.batch.expand(name)[:] = values
 
 
 def _forward(batch: Any) -> None:

@@ -14,6 +14,7 @@ from common.errors import SettingsError
 from common.files import create, is_plain_directory
 from common.log.lock import LOCK
 from common.log.segments import LOG_DIRECTORY
+from common.tasks import slug
 
 SUMMARY = "summary.json"
 SETTINGS = "settings.json"
@@ -89,7 +90,7 @@ def _cannot_write(run_dir: Path, error: OSError) -> SettingsError:
 
 def default_run_dir(settings: RunSettings) -> Path:
     stamp = time.strftime("%Y%m%d-%H%M%S")
-    return RUNS / f"{settings.task}-{settings.learner}-s{settings.seed}-{stamp}"
+    return RUNS / f"{slug(settings.task)}-{settings.learner}-s{settings.seed}-{stamp}"
 
 
 def write_json(path: Path, content: dict[str, Any], *, indent: int | None = 2) -> None:

@@ -205,8 +205,9 @@ def _is_open(run_dir: Path) -> bool:
 
 
 def _differences(old: Mapping[str, Any], new: Mapping[str, Any], section: str = "") -> Iterator[tuple[str, Any, Any]]:
-    for name, value in old.items():
-        if isinstance(value, Mapping) and isinstance(new[name], Mapping):
-            yield from _differences(value, new[name], f"{section}{name}.")
-        elif new[name] != value:
-            yield f"{section}{name}", value, new[name]
+    for name in {**old, **new}:
+        before, after = old.get(name), new.get(name)  # settings that are off may be left out
+        if isinstance(before, Mapping) and isinstance(after, Mapping):
+            yield from _differences(before, after, f"{section}{name}.")
+        elif before != after:
+            yield f"{section}{name}", before, after

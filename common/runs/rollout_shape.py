@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from common.config.settings import RunSettings
-from common.tasks import TASKS
 from common.wire.rollout import RolloutShape
 
 
 def rollout_shape(settings: RunSettings) -> RolloutShape:
     """The sizes of one actor's rollouts."""
-    task = TASKS[settings.task]
+    task = settings.sizes
     return RolloutShape(
         num_steps=settings.num_steps,
         num_envs=settings.envs_per_actor,

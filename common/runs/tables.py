@@ -18,7 +18,6 @@ from pyarrow import parquet
 from common.errors import SettingsError
 from common.runs.recorded_run import RecordedRun
 from common.runs.recorded_updates import RecordedUpdate
-from common.tasks import TASKS
 from common.wire.rollout import Rollout
 
 ROLLOUTS, EPISODES, METRICS = "rollouts.parquet", "episodes.parquet", "metrics.parquet"
@@ -67,7 +66,7 @@ def extract(run: RecordedRun, folder: Path, on_update: Callable[[RecordedUpdate]
 
 
 def _extract(run: RecordedRun, folder: Path, on_update: Callable[[RecordedUpdate], None]) -> dict[str, int]:
-    task = TASKS[run.settings.task]
+    task = run.settings.sizes
     numbers = Numbers()
     settings = run.settings
     of_run: dict[str, int | str] = {

@@ -8,11 +8,11 @@ from common.config.faults import PREFIX
 from common.config.sources import load
 from common.output import say
 from reskpn.commands.command import EXIT_CODES, Command
-from reskpn.commands.connection import add_worker_options, over
+from reskpn.commands.connection import add_worker_options, allow_task, over
 
 EPILOG = f"""\
-{PREFIX}TRANSPORT__ENDPOINT and {PREFIX}PHYSICS in the environment are used
-as well.
+{PREFIX}TRANSPORT__ENDPOINT, {PREFIX}PHYSICS and {PREFIX}TASK in the environment
+are used as well.
 
 {EXIT_CODES}"""
 
@@ -27,6 +27,7 @@ def run(given: argparse.Namespace) -> int:
     from services.actor.service import run_actor
 
     base = load(config=given.config)
+    allow_task(given, base)
     transport = over(base.transport, given)
     with stopping(supervised=given.supervised) as stop:
         return run_actor(

@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from common.config.settings import TransportSettings
+from common.config.settings import RunSettings, TransportSettings
 from common.engine_names import PHYSICS
+from common.errors import SettingsError
+from common.tasks import is_own, task_fault
 
 
 def add_connection(parser: argparse.ArgumentParser, of: str = "", what: str = "address of the learner") -> None:
@@ -37,6 +39,17 @@ def over(transport: TransportSettings, given: argparse.Namespace) -> TransportSe
     return transport.model_copy(update={name: value for name in names if (value := getattr(given, name)) is not None})
 
 
+def allow_task(given: argparse.Namespace, base: RunSettings) -> None:
+    """Allow this process to import the task that its user has named. SettingsError for what is not a task's name."""
+    name = given.task or base.task
+    if (fault := task_fault(name, None)) is not None:
+        raise SettingsError(f"--task: {fault}")
+    if is_own(name):
+        from common.physics.lookup import allow_import
+
+        allow_import(name)
+
+
 def add_worker_options(parser: argparse.ArgumentParser, verb: str, service: str) -> None:
     """The options of a process that connects to a learner and runs environments of its own."""
     add_connection(parser)
@@ -56,7 +69,14 @@ def add_worker_options(parser: argparse.ArgumentParser, verb: str, service: str)
         metavar="S",
         help="seconds to wait for a learner that was lost to come back (default: no limit)",
     )
-    parser.add_argument("--config", metavar="FILE", help="YAML file of settings; only its transport section is used")
+    parser.add_argument(
+        "--task",
+        metavar="MODULE:CLASS",
+        help="task of your own that this process may import, where the run is of it; others are not run",
+    )
+    parser.add_argument(
+        "--config", metavar="FILE", help="YAML file of settings; only its transport section and its task are used"
+    )
     parser.add_argument(
         "--state-file", type=Path, metavar="FILE", help=f"file that `python -m reskpn.health {service}` reads"
     )

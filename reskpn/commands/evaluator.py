@@ -8,11 +8,11 @@ from common.config.faults import PREFIX
 from common.config.sources import load
 from common.output import say
 from reskpn.commands.command import EXIT_CODES, Command
-from reskpn.commands.connection import add_worker_options, over
+from reskpn.commands.connection import add_worker_options, allow_task, over
 
 EPILOG = f"""\
-{PREFIX}TRANSPORT__ENDPOINT and {PREFIX}PHYSICS in the environment are used
-as well.
+{PREFIX}TRANSPORT__ENDPOINT, {PREFIX}PHYSICS and {PREFIX}TASK in the environment
+are used as well.
 
 {EXIT_CODES}"""
 
@@ -43,6 +43,7 @@ def run(given: argparse.Namespace) -> int:
     from services.evaluator.service import EvaluationOptions, run_evaluator
 
     base = load(config=given.config)
+    allow_task(given, base)
     physics = given.physics or base.physics
     options = EvaluationOptions(given.every, given.episodes, given.positions, physics, given.threads)
     with stopping(supervised=given.supervised) as stop:

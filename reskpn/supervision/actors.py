@@ -12,6 +12,7 @@ from common.config.settings import RunSettings
 from common.cores import usable_cores
 from common.errors import PhysicsError, ProcessError, RefusedError, SettingsError
 from common.output import say
+from common.tasks import is_own
 from reskpn.supervision import processes
 
 QUICK_S = 30.0
@@ -75,6 +76,8 @@ class ActorSupervisor:
         command = [
             *processes.reskpn_command("actor"), "--endpoint", transport.endpoint, "--threads", str(threads),
         ]  # fmt: skip
+        if is_own(self.settings.task):
+            command += ["--task", self.settings.task]
         if transport.users is not None:
             command += ["--users", str(transport.users)]
         with log_file.open("ab") as output:

@@ -56,6 +56,7 @@ class Collector:
             num_envs=settings.envs_per_actor,
             episode_length=settings.episode_length,
             threads=threads,
+            randomised=settings.randomisation.ranges(),
         )
         key = jax.random.fold_in(jax.random.key(settings.seed), holder.slot)
         self._key = jax.random.fold_in(key, holder.generation)

@@ -13,6 +13,7 @@ from common.errors import CodecError, PhysicsError, SessionError
 from common.maths.policy import Policy
 from common.memory import keep_large_blocks
 from common.physics.engines import require_synchronous_dispatch, resolve_physics
+from common.physics.pinning import pinned
 from common.runtime import enable_compilation_cache, hardware, software_versions
 from common.wire.messages import Environment, Evaluation, Orders, digest_arrays
 from common.wire.session import Session
@@ -55,7 +56,8 @@ def run_actor(
     Raises:
         RefusedError: the learner does not accept this actor.
         SessionError: no learner answered within the time.
-        SettingsError: the state file cannot be written.
+        SettingsError: the state file cannot be written, or the run's task is one of somebody's own that may not be
+            imported here or is another version of it.
     """
     write_state = state_writer(state_file)
     write_state("starting", NO_POLICY)
@@ -80,6 +82,7 @@ def run_actor(
             )
             if assignment is None:
                 return 0
+            pinned(assignment.settings)
             begin = partial(ActorIncarnation, session, assignment, transport, engine, threads, stop, write_state)
             if not _work(begin, assignment, engine, say):
                 connect_timeout_s = rejoin_timeout_s

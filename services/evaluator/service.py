@@ -17,6 +17,7 @@ import numpy as np
 from common.config.settings import TransportSettings
 from common.errors import SessionError, SettingsError
 from common.physics.engines import require_synchronous_dispatch, resolve_physics
+from common.physics.pinning import pinned
 from common.runtime import enable_compilation_cache, hardware, software_versions
 from common.wire.assessment import MAX_EPISODES, MAX_POSITIONS, Assessment
 from common.wire.messages import Orders
@@ -90,7 +91,8 @@ def run_evaluator(
     Raises:
         RefusedError: the learner does not accept this evaluator.
         SessionError: no learner answered within the time.
-        SettingsError: the state file cannot be written.
+        SettingsError: the state file cannot be written, or the run's task is one of somebody's own that may not be
+            imported here or is another version of it.
     """
     with StateRefresher(state_writer(state_file)) as state:
         state.set("starting")
@@ -103,6 +105,7 @@ def run_evaluator(
                 if assignment is None:
                     return 0
                 say(f"following {assignment.run}: {options.episodes} episodes of every {_nth(options.every)} policy")
+                pinned(assignment.settings)
                 incarnation = EvaluatorIncarnation(session, assignment, transport, options, engine, stop, say, state)
                 try:
                     finished = incarnation.work()

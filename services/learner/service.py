@@ -17,6 +17,7 @@ from common.log.segments import LOG_DIRECTORY
 from common.memory import keep_large_blocks
 from common.runs.directory import SUMMARY, claim_run_dir, write_settings
 from common.runtime import enable_compilation_cache
+from common.tasks import slug
 from common.wire.listener import make_listener_monitor, require_authentication
 from common.wire.session import Session
 from services.learner.endpoints.health_port import Readiness, health_port
@@ -171,7 +172,7 @@ def _resume(
 
 
 def _new_run(settings: RunSettings, origin: Origin | None, chain: str) -> Resumption:
-    run = f"{settings.task}-{settings.learner}-s{settings.seed}-{secrets.token_hex(3)}"
+    run = f"{slug(settings.task)}-{settings.learner}-s{settings.seed}-{secrets.token_hex(3)}"
     if origin is None:
         return Resumption(run, chain=chain)
     note = f"begins with the state of {origin.run} at version {origin.version}, digest {origin.digest}"

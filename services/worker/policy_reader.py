@@ -16,14 +16,13 @@ from common.maths.policy import Policy, act
 from common.maths.rkhs.make import make_representation
 from common.maths.state import initial_state
 from common.maths.trees import from_arrays
-from common.tasks import TASKS
 
 
 class PolicyReader:
     """Reads the snapshots of a run as policies and computes their actions."""
 
     def __init__(self, settings: RunSettings) -> None:
-        task = TASKS[settings.task]
+        task = settings.sizes
         self.networks, parameters = make_networks(
             task.observation_size,
             task.action_size,

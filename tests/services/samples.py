@@ -11,6 +11,7 @@ from mirrors import no_mirror
 from common.config.settings import RunSettings
 from common.physics.state_shapes import state_shapes
 from common.runs.recorded_updates import RecordedUpdate
+from common.tasks import TASKS
 from common.wire.messages import Evaluation, Heartbeat, Join, Snapshot, digest_arrays
 from common.wire.report import Progress
 from common.wire.rollout import Rollout
@@ -63,7 +64,7 @@ def rollout(slot: int = 0, incarnation: str = "a", seq: int = 0, policy_version:
 
 def environment_arrays(fill: int = 0, task: str = "inverted_pendulum", num_envs: int = 2) -> dict[str, np.ndarray]:
     """The state of two environments of `settings()`, every number of it `fill`; they are at their first step."""
-    shapes = state_shapes(task, num_envs)
+    shapes = state_shapes(TASKS[task], num_envs)
     return {path: np.full(shape, 0 if path == "steps" else fill, dtype) for path, (dtype, shape) in shapes.items()}
 
 

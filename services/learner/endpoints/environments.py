@@ -44,7 +44,10 @@ class EnvironmentHandler:
         self._fleet = fleet
         self._changed = changed
         self._on_refused = on_refused
-        self._checks = EnvironmentChecks(state_shapes(settings.task, settings.envs_per_actor), settings.episode_length)
+        self._checks = EnvironmentChecks(
+            state_shapes(settings.sizes, settings.envs_per_actor, settings.randomisation.ranges()),
+            settings.episode_length,
+        )
         self._logged = set(logged)
         self._slots = {keys.environment(slot): slot for slot in range(settings.actors)}
         self._states: dict[int, bytes] = {}

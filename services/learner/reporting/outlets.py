@@ -17,7 +17,7 @@ from common.log.signatures import Signer
 from common.log.writer import LogWriter
 from common.numerical_environment import numerical_environment
 from common.output import run_output
-from common.physics.assets import model_xml
+from common.physics.assets import task_files
 from common.runs.directory import TENSORBOARD
 from common.runs.initial_state import ATTACHMENT, MEDIA_TYPE
 from common.runs.tally import Tally
@@ -117,7 +117,10 @@ def _open_log(
 ) -> LogWriter:
     versions = software_versions()
     commit = source_commit()
-    attachments = {f"{settings.task}.xml": ("application/xml", model_xml(settings.task).encode())}
+    attachments = {
+        name: ("application/xml" if name.endswith(".xml") else "application/octet-stream", content)
+        for name, content in task_files(settings.task).items()
+    }
     origin = {} if beginning is None else {"origin": dict(beginning.origin)}
     if beginning is not None:
         attachments[ATTACHMENT] = (MEDIA_TYPE, beginning.state.encode())

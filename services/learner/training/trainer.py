@@ -20,7 +20,6 @@ from common.maths.networks import make_networks
 from common.maths.rkhs.make import make_representation
 from common.maths.state import Batch, LearnerState, initial_state
 from common.maths.update import Metrics, make_update
-from common.tasks import TASKS
 from common.wire.messages import digest_arrays
 from common.wire.rollout import Rollout
 from services.learner.training.batches import assemble
@@ -33,7 +32,7 @@ class Trainer:
     """Holds the state of one run and applies updates to it."""
 
     def __init__(self, settings: RunSettings) -> None:
-        task = TASKS[settings.task]
+        task = settings.sizes
         networks, parameters = make_networks(
             task.observation_size,
             task.action_size,
@@ -126,7 +125,7 @@ def _meant(values: dict[str, float]) -> dict[str, float]:
 
 def _empty_batch(settings: RunSettings) -> Batch:
     """A batch of the run's shapes."""
-    task = TASKS[settings.task]
+    task = settings.sizes
     steps, envs = settings.num_steps, settings.num_envs
     per_step = jnp.zeros((steps, envs), jnp.float32)
     flag = jnp.zeros((steps, envs), jnp.bool_)

@@ -18,4 +18,4 @@ def test_they_are_those_of_the_environments(task: str) -> None:
     traced = jax.eval_shape(environment.reset, jax.random.key(0))
     empty = jax.tree.map(lambda leaf: jax.numpy.zeros(leaf.shape, leaf.dtype), traced)
     found = {path: (array.dtype.name, array.shape) for path, array in to_arrays(empty).items()}
-    assert found == state_shapes(task, 3)
+    assert found == state_shapes(TASKS[task], 3)

@@ -10,9 +10,10 @@ from samples import environment_arrays
 
 from common.errors import CodecError
 from common.physics.state_shapes import state_shapes
+from common.tasks import TASKS
 from services.learner.endpoints.environment_checks import EnvironmentChecks
 
-CHECKS = EnvironmentChecks(state_shapes("inverted_pendulum", 2), episode_length=1000)
+CHECKS = EnvironmentChecks(state_shapes(TASKS["inverted_pendulum"], 2), episode_length=1000)
 
 
 def changed(path: str, value: Any) -> dict[str, np.ndarray]:
