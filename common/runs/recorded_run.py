@@ -16,6 +16,7 @@ from common.log.chain import ChainCheck
 from common.log.reader import LogMessage, LogReader, TornTail
 from common.log.segments import find_segments
 from common.runs.initial_state import read_initial_state
+from common.runs.needed_segments import read_tally
 from common.runs.origins import origin
 from common.runs.recorded_updates import LIMITS, TOPICS, RecordedUpdate, UpdateReader
 from common.wire.messages import Snapshot
@@ -36,9 +37,31 @@ class RecordedRun:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._reader = LogReader(path)
-        self._spec = self._read_spec()
-        self.run: str = str(self._spec["run"])
-        self.settings: RunSettings = parse_json(json.dumps(self._spec["settings"]))
+        self.before = read_tally(find_segments(path)[0], updates=1)
+        spec = self._read_spec() if self.whole else self._read_metadata()
+        self.run: str = str(spec["run"])
+        self.settings: RunSettings = parse_json(json.dumps(spec["settings"]))
+
+    @property
+    def whole(self) -> bool:
+        """True if the log has its beginning; `before` has the totals of what was removed."""
+        return not self.before.began_ns
+
+    @property
+    def first(self) -> int:
+        """Version of the first update whose rollouts are all in the log."""
+        # Rollouts of version v are not written before the update to v - 1 - staleness.
+        return 1 if self.whole else self.before.version + self.settings.staleness + 2
+
+    @property
+    def newest(self) -> int:
+        """Version of the last update; 0 where there is none. Unfinished segments are read for it."""
+        return self.before.version + self._reader.counts().get("/update", 0)
+
+    def newest_settings(self) -> RunSettings:
+        """The settings, with those that a resumption has changed."""
+        text = self.metadata().get("settings", {}).get("json")
+        return self.settings if text is None else parse_json(text)
 
     @property
     def torn(self) -> list[TornTail]:
@@ -70,15 +93,16 @@ class RecordedRun:
         return self._reader.metadata()
 
     def count_updates(self) -> int:
-        """Updates in the log. Unfinished segments are read for it."""
-        return self._reader.counts().get("/update", 0)
+        """Updates in the log with all of their rollouts. Unfinished segments are read for it."""
+        return max(0, self.newest - self.first + 1)
 
     def updates(
-        self, *, until: int | None = None, on_unused: Callable[[Rollout], None] | None = None
+        self, *, after: int = 0, until: int | None = None, on_unused: Callable[[Rollout], None] | None = None
     ) -> Iterator[RecordedUpdate]:
-        """The updates in order, read as they are asked for.
+        """The updates in order, from `first` on, read as they are asked for.
 
         Args:
+            after: the last version that is not wanted.
             until: the last version wanted; None for all.
             on_unused: called with each rollout that no update used: one that came too late, or after the last update.
                 It is called once that is certain, so some time after the rollout's place in the log; not at all for
@@ -88,7 +112,7 @@ class RecordedRun:
             LogReadError: the log is damaged, a rollout that an update names is not in the log before it, or the
                 versions do not follow each other.
         """
-        for _, content in self._walk(TOPICS, on_unused):
+        for _, content in self._walk(TOPICS, on_unused, after=after):
             if isinstance(content, RecordedUpdate):
                 yield content
                 if content.version == until:
@@ -114,26 +138,36 @@ class RecordedRun:
         """
         return (message.json() for message in self._reader.messages(["/eval"]))
 
-    def messages(self, chain: ChainCheck | None = None) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
+    def messages(
+        self, chain: ChainCheck | None = None, *, after: int = 0
+    ) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
         """Every message of the log as it was written, and its content where it is of /rollout or /update.
 
-        `chain` follows them.
+        `chain` follows them. Updates before `first`, and up to version `after`, have no content.
 
         Raises (from the iterator):
             LogReadError: as `updates`.
         """
-        return self._walk(None, None, chain)
+        return self._walk(None, None, chain, after)
 
     def _walk(
         self,
         topics: Collection[str] | None,
         on_unused: Callable[[Rollout], None] | None,
         chain: ChainCheck | None = None,
+        after: int = 0,
     ) -> Iterator[tuple[LogMessage, RecordedUpdate | Rollout | None]]:
-        reader = UpdateReader(self.path, self.settings, on_unused=on_unused)
+        reader = UpdateReader(self.path, self.settings, after=max(after, self.first - 1), on_unused=on_unused)
         for message in self._reader.messages(topics, chain):
             yield message, reader.read(message)
         reader.close()
+
+    def _read_metadata(self) -> dict[str, Any]:
+        metadata = LogReader(find_segments(self.path)[0]).metadata()
+        try:
+            return {"run": metadata["run"]["run"], "settings": json.loads(metadata["settings"]["json"])}
+        except (KeyError, ValueError, RecursionError) as error:
+            raise LogReadError(f"{self.path}: the log does not say the settings of its run: {error!r}") from None
 
     def _read_spec(self) -> dict[str, Any]:
         message = next(self._reader.messages(["/spec"]), None)

@@ -39,25 +39,28 @@ def verify_run(path: Path, until: int | None, public_key: Path | None = None) ->
     """
     from common.runtime import enable_compilation_cache, hardware, software_versions, source_commit
     from common.wire.messages import digest_arrays
-    from reskpn.commands.verdicts import describe_audit, describe_verdict
+    from reskpn.commands.verdicts import describe_audit, describe_retention, describe_verdict
     from services.learner.training.trainer import Trainer
     from services.replay.audit import Audit
+    from services.replay.beginning import read_beginning
     from services.replay.verify import verify
 
     chain = ChainCheck(None if public_key is None else Verifier(public_key))
     run = open_run(path)
-    total = updates_to_read(run, until)
+    updates_to_read(run, until)
     enable_compilation_cache()
     origins = run.origins()
     for note in adopt(run.metadata().get("environment", {}), origins[0].get("cores", "")):
         print(note)
     found = differences(origins, origin(source_commit(), software_versions(), hardware(), numerical_environment()))
     trainer = Trainer(run.settings)
-    if (initial := run.initial_state()) is not None:
-        trainer.restore(initial)
+    begins = read_beginning(run)
+    if begins.arrays is not None:
+        trainer.restore(begins.arrays)
+    total = count_between(run, begins.version, until)
     print(f"{run.run}: verifying {total} updates of {run.settings.learner} on {run.settings.task}", flush=True)
     trainer.compile()
-    audit = Audit(run, chain, lambda: digest_arrays(trainer.policy_arrays()))
+    audit = Audit(run, chain, lambda: digest_arrays(trainer.policy_arrays()), begins)
     with progress_bar() as bar, read_ahead(audit.updates(until)) as updates:
         task = bar.add_task("verifying", total=total)
 
@@ -75,7 +78,7 @@ def verify_run(path: Path, until: int | None, public_key: Path | None = None) ->
     if verdict.agrees and until is None:
         audit.conclude()
     findings = [*chain.findings, *audit.findings]
-    for line in (*describe_torn(run), *describe_verdict(verdict, found)):
+    for line in (*describe_torn(run), *describe_verdict(verdict, found), *describe_retention(run, begins)):
         print(line)
     for line in describe_audit(findings, chain, whole=verdict.agrees and until is None):
         print(line)
@@ -169,12 +172,25 @@ def updates_to_read(run: RecordedRun, until: int | None) -> int:
     Raises:
         SettingsError: there is no update, or none with that version.
     """
-    total = run.count_updates()
+    total, newest = run.count_updates(), run.newest
     if not total:
         raise SettingsError(f"{run.path}: the log holds no update yet; there is nothing to replay")
-    if until is not None and not 1 <= until <= total:
-        raise SettingsError(f"--until {until}: the log of {run.run} has updates 1 to {total}; give one of them")
-    return total if until is None else until
+    if until is not None and not run.first <= until <= newest:
+        raise SettingsError(
+            f"--until {until}: the log of {run.run} has updates {run.first} to {newest}; give one of them"
+        )
+    return total if until is None else until - run.first + 1
+
+
+def count_between(run: RecordedRun, after: int, until: int | None) -> int:
+    """The number of updates after a version and up to `until`. SettingsError where there is none."""
+    last = run.newest if until is None else until
+    if last <= after:
+        raise SettingsError(
+            f"{run.run}: the oldest checkpoint that its log goes on from is of version {after}, and no update after it "
+            "is to be verified"
+        )
+    return last - after
 
 
 def describe_torn(run: RecordedRun) -> list[str]:

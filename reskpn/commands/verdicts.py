@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 
 from common.log.chain import ChainCheck
 from common.runs.origins import Difference
+from common.runs.recorded_run import RecordedRun
+from services.replay.beginning import ReplayBeginning, describe_removed
 from services.replay.verify import (
     ABSOLUTE_TOLERANCE,
     RELATIVE_TOLERANCE,
@@ -44,6 +46,20 @@ def describe_verdict(verdict: Verdict, found: Sequence[Difference]) -> Iterator[
     yield from _machine(found)
     if verdict.speed is not None:
         yield f"{verdict.replay_s:.1f} s where the run took {verdict.live_s:.1f} s: {verdict.speed:.2f} times its speed"
+
+
+def describe_retention(run: RecordedRun, begins: ReplayBeginning) -> Iterator[str]:
+    """The part of the log that was removed, and what a verification promises without it; nothing for a whole log."""
+    if run.whole:
+        return
+    yield (
+        f"{describe_removed(run)}: nothing of them was verified, and neither were updates {run.before.version + 1} to "
+        f"{begins.version}, whose rollouts are removed in part or lie before the checkpoint"
+    )
+    yield (
+        f"  what is verified follows from {begins.path}, whose digest the log names for version {begins.version}; that "
+        "this state came of a training run is not shown"
+    )
 
 
 def describe_audit(findings: Sequence[str], chain: ChainCheck, *, whole: bool) -> Iterator[str]:

@@ -53,6 +53,11 @@ def read_run(path: Path) -> RunRecord:
         SettingsError: this version has no such settings.
     """
     run = RecordedRun(path)
+    if not run.whole:
+        raise LogReadError(
+            f"{path}: the first {run.before.version} updates were removed from the log (log.keep), so its curve is not "
+            "there; give a run that keeps everything"
+        )
     record = RunRecord(run.run, run.settings, Curve(run.settings.batch_size), Timeline(), LogReader(path).metadata())
     began_ns = 0
     for message, content in run.messages():

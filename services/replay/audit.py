@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +24,10 @@ from common.runs.recorded_run import RecordedRun
 from common.runs.recorded_updates import RecordedUpdate
 from common.wire.messages import Snapshot
 from services.learner.reporting.evaluations import is_of_the_run
-from services.learner.reporting.statistics import Episodes
+from services.learner.reporting.statistics import Episodes, TrainingReturn
+from services.learner.reporting.summary import train_return
 from services.learner.training.checkpoints import list_checkpoints, read_checkpoint
+from services.replay.beginning import ReplayBeginning, describe_removed, directory_of
 
 RELATIVE_ERROR = 1e-5
 """Means of episodes are summed in single precision, whose order other releases of NumPy may choose otherwise."""
@@ -45,6 +47,7 @@ class Audit:
 
     Args:
         policy_digest: of the policy that the re-execution has come to.
+        begins: where the re-execution begins.
 
     Attributes:
         findings: a sentence for each.
@@ -53,15 +56,25 @@ class Audit:
     run: RecordedRun
     chain: ChainCheck
     policy_digest: Callable[[], str]
+    begins: ReplayBeginning = field(default_factory=ReplayBeginning)
     findings: list[str] = field(default_factory=list)
     _logged: dict[int, _Logged] = field(default_factory=dict)
     _digests: dict[int, str] = field(default_factory=dict)
     _evaluation: Mapping[str, Any] | None = None
     _env_steps: int = 0
+    _returns: TrainingReturn = field(init=False)
+
+    def __post_init__(self) -> None:
+        settings, before = self.run.newest_settings(), self.run.before
+        self._returns = TrainingReturn(settings.updates, episodes=before.earlier_episodes)
+        for ended in before.window:
+            self._returns.recall(asdict(ended))
+        if not self.run.whole and settings.log.keep == "everything":
+            self.findings.append(f"{describe_removed(self.run)}, although log.keep is everything")
 
     def updates(self, until: int | None) -> Iterator[RecordedUpdate]:
         """The updates of the run; what is logged of each is kept until it is checked."""
-        for message, content in self.run.messages(self.chain):
+        for message, content in self.run.messages(self.chain, after=self.begins.version):
             if isinstance(content, RecordedUpdate):
                 yield content
                 if content.version == until:
@@ -76,6 +89,7 @@ class Audit:
         self._digests[version] = update.state_digest
         self._env_steps = update.env_steps
         self._compare(f"env_steps of update {version}", update.env_steps, version * settings.batch_size)
+        self._returns.add(version, Episodes.of(update.rollouts))
         behind = [version - 1 - rollout.policy_version for rollout in update.rollouts]
         staleness = {"min": min(behind), "mean": sum(behind) / len(behind), "max": max(behind)}
         self._compare_all(f"staleness of update {version}", update.staleness, staleness)
@@ -89,7 +103,7 @@ class Audit:
     def conclude(self) -> None:
         """Compare the end of the log with what lies beside it."""
         last = max(self._digests, default=0)
-        run_dir = self.run.path.parent if self.run.path.name == LOG_DIRECTORY else self.run.path
+        run_dir = directory_of(self.run)
         if not (run_dir / LOG_DIRECTORY).is_dir():
             return
         for path in list_checkpoints(run_dir):
@@ -108,6 +122,10 @@ class Audit:
         if message.topic == "/episode":
             record = message.json()
             self._of(record).episode = record
+            if int(record.get("version", 0)) <= self.begins.version:
+                self._returns.recall(record)
+        elif message.topic == "/update":
+            self._pass_over(message.json())
         elif message.topic == "/policy":
             try:
                 snapshot = Snapshot.decode(message.data)
@@ -117,6 +135,14 @@ class Audit:
             self._logged.setdefault(snapshot.version, _Logged()).policy_digest = snapshot.digest
         elif message.topic == "/eval" and is_of_the_run(record := message.json()):
             self._evaluation = record
+
+    def _pass_over(self, record: Mapping[str, Any]) -> None:
+        """Take in an update that is not made again: its state is that of the checkpoint, or before it."""
+        version, digest = int(record["version"]), str(record.get("state_digest"))
+        self._logged.pop(version, None)
+        self._digests[version], self._env_steps = digest, version * self.run.settings.batch_size
+        if version == self.begins.version:
+            self._compare(f"state digest in {self.begins.path}", self.begins.digest, digest)
 
     def _of(self, record: Mapping[str, Any]) -> _Logged:
         return self._logged.setdefault(int(record.get("version", 0)), _Logged())
@@ -152,6 +178,11 @@ class Audit:
             return
         self._compare(f"total_steps in {SUMMARY}", summary.get("total_steps"), self._env_steps)
         self._compare(f"state_digest in {SUMMARY}", summary.get("state_digest"), self._digests.get(last))
+        if self.chain.sealed or "train_return_over" in summary:  # earlier releases took other means
+            mean, over = train_return(self._returns)
+            self._compare(f"train_return_mean in {SUMMARY}", summary.get("train_return_mean"), mean)
+            self._compare(f"train_return_over in {SUMMARY}", summary.get("train_return_over"), over)
+            self._compare(f"train_episodes in {SUMMARY}", summary.get("train_episodes"), self._returns.episodes)
         evaluation = self._evaluation or {}
         for name in ("return_mean", "return_std", "episodes"):
             found = summary.get(f"eval_{name}")

@@ -11,6 +11,7 @@ from common.errors import SettingsError
 from common.runs.read_ahead import read_ahead
 from common.runs.recorded_run import RecordedRun
 from services.learner.training.trainer import Trainer
+from services.replay.beginning import describe_removed, read_beginning
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ def recorded_policy(
         LogReadError: the log cannot be read.
         NumericsError: an update that is recomputed is not finite.
     """
-    newest = run.count_updates()
+    newest = run.newest
     wanted = newest if version is None else version
     if not 0 <= wanted <= newest:
         raise SettingsError(f"--version {wanted}: the log of {run.run} has versions 0 to {newest}; give one of them")
@@ -55,9 +56,16 @@ def recorded_policy(
 
 def _recomputed(run: RecordedRun, version: int, trainer: Trainer, on_update: Callable[[int], None]) -> RecordedPolicy:
     exact = True
-    if version:
+    begins = read_beginning(run)
+    if version < begins.version:
+        raise SettingsError(
+            f"--version {version}: {describe_removed(run)}; give one that is in the log, or {begins.version} or later"
+        )
+    if begins.arrays is not None:
+        trainer.restore(begins.arrays)
+    if version > begins.version:
         trainer.compile()
-        with read_ahead(run.updates(until=version)) as updates:
+        with read_ahead(run.updates(after=begins.version, until=version)) as updates:
             for update in updates:
                 trainer.update(update.rollouts)
                 on_update(update.version)

@@ -58,7 +58,7 @@ def summarise(
 ) -> dict[str, Any]:
     """The run in one JSON object; evaluation figures are null where none took place."""
     returns = None if evaluation is None else evaluation.episode_return
-    train_return, train_return_over = _train_return(outcome.returns)
+    return_mean, return_over = train_return(outcome.returns)
     return {
         "run": run,
         "task": settings.task,
@@ -70,8 +70,8 @@ def summarise(
         "updates": outcome.env_steps // settings.batch_size,
         "wall_s": round(wall_s, 3),
         "env_steps_per_s": outcome.steps_per_s,
-        "train_return_mean": train_return,
-        "train_return_over": train_return_over,
+        "train_return_mean": return_mean,
+        "train_return_over": return_over,
         "train_episodes": outcome.returns.episodes,
         "eval_return_mean": None if returns is None else float(returns.mean()),
         "eval_return_std": None if returns is None else float(returns.std()),
@@ -82,7 +82,7 @@ def summarise(
     }
 
 
-def _train_return(returns: TrainingReturn) -> tuple[float | None, str | None]:
+def train_return(returns: TrainingReturn) -> tuple[float | None, str | None]:
     """The mean training return and what it is over; where no episode ended at the run's end, as shown during it."""
     if returns.late is not None:
         return returns.late, "last tenth"

@@ -59,6 +59,11 @@ def read_origin(run_dir: Path, version: int | None = None) -> Origin:
         trainer.restore(read_checkpoint(kept[below]).arrays)
     elif (initial := recorded.initial_state()) is not None:
         trainer.restore(initial)
+    if version > below and below < recorded.first - 1:
+        raise SettingsError(
+            f"--from {run_dir}@{version}: the log of that run begins at update {recorded.first}, and there is no "
+            "checkpoint between that and this version; name a later one"
+        )
     if version > below:
         messages = LogReader(run_dir).messages(TOPICS)
         for update in read_updates(messages, run_dir, recorded.settings, after=below):

@@ -54,6 +54,9 @@ def summarise(run_dir: Path, **changes: Any) -> None:
         "updates": UPDATES,
         "total_steps": 12 * UPDATES,
         "state_digest": f"state-{UPDATES}",
+        "train_return_mean": 8.0,
+        "train_return_over": "newest episodes",
+        "train_episodes": 2,
         "eval_return_mean": 20.0,
         "eval_return_std": 10.0,
         "eval_episodes": 2,
@@ -157,3 +160,21 @@ def test_a_summary_that_is_none(tmp_path: Path) -> None:
     (run_dir / "summary.json").write_text("[" * 100_000)
     (finding,) = audited(run_dir)
     assert finding.startswith("summary.json cannot be read: ")
+
+
+@pytest.mark.parametrize(
+    ("changes", "finding"),
+    [
+        ({"train_return_mean": 9.5}, "the train_return_mean in summary.json is 9.5; it should be 8.0"),
+        ({"train_episodes": 200}, "the train_episodes in summary.json is 200; it should be 2"),
+    ],
+)
+def test_training_figures_of_the_summary(tmp_path: Path, changes: dict[str, Any], finding: str) -> None:
+    """Follow from the episodes that ended in the rollouts: two in update 2, of returns 7 and 9. A summary of an earlier
+    release, which took the mean over other episodes, is let pass where the log has no chain."""
+    summarise(write(tmp_path / "a", complete_log(), Chain()), **changes)
+    assert audited(tmp_path / "a") == [finding]
+    summarise(write(tmp_path / "b", complete_log()), **changes)
+    text = (tmp_path / "b" / "summary.json").read_text().replace("train_return_over", "_")
+    (tmp_path / "b" / "summary.json").write_text(text)
+    assert audited(tmp_path / "b") == []
