@@ -57,8 +57,9 @@ class SyncBatch(RolloutBuffer):
             return Refusal("stale", f"made with policy {rollout.policy_version}; policy {self._version} is wanted")
         if not self._collecting or len(self._taken) + len(self.pending) >= len(self._slots):
             return self._enough()
-        # Without this an actor that ignores its orders would fill the batch, and no other slot would ever be used.
-        if self._made(rollout.id) >= (quota := self._quota(rollout.slot)):
+        # Without this an actor that ignores its orders would fill the batch, and no other slot would ever be used; nor
+        # does it help to join again, since the rollouts of all incarnations of the slot count.
+        if len(self._made(rollout.slot)) >= (quota := self._quota(rollout.slot)):
             return Refusal("surplus", f"policy {self._version} needs {quota} of slot {rollout.slot}, and has as many")
         return None
 
@@ -80,7 +81,12 @@ class SyncBatch(RolloutBuffer):
         return [self._taken[identity] for identity in sorted(self._taken)]
 
     def wanted(self, slot: int) -> int:
-        return self._quota(slot) if self._collecting else 0
+        member = self._slots[slot].member
+        if not self._collecting or member is None:
+            return self._quota(slot) if self._collecting else 0
+        # An actor counts what it has made itself, so what its predecessors made is taken off.
+        others = sum(identity.generation != member.generation for identity in self._made(slot))
+        return max(0, self._quota(slot) - others)
 
     def actor_lost(self, slot: Slot) -> None:
         if not slot.reserved:
@@ -113,10 +119,10 @@ class SyncBatch(RolloutBuffer):
         own = 0 if any(identity.slot == slot for identity in self._settled) else 1
         return own + self._extra[slot]
 
-    def _made(self, made: RolloutId) -> int:
-        """Rollouts of this version of the same actor that are in the batch or being logged."""
+    def _made(self, slot: int) -> list[RolloutId]:
+        """Rollouts of this version of the slot, of whichever incarnation, that are in the batch or being logged."""
         there = (self._taken.keys() - self._settled) | set(self.pending.values())
-        return sum(identity[:2] == made[:2] for identity in there)
+        return [identity for identity in there if identity.slot == slot]
 
     def _settle(self, rollouts: Collection[Rollout]) -> None:
         self._taken |= {rollout.id: rollout for rollout in rollouts}

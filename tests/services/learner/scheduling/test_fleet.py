@@ -159,19 +159,19 @@ def test_a_batch_is_complete_with_one_rollout_a_slot() -> None:
 def test_the_order_of_a_batch_is_slot_then_generation_then_seq() -> None:
     """The order depends on who made what, not on when it came."""
     fleet = make_fleet(4, "a", "z", "c", "d")
-    # z delivers its first rollout and is lost; b takes slot 1 over and delivers two; slots 2 and 3 are lost.
+    # z delivers its first rollout and is lost; b takes slot 1 over; a and b share the work of slots 2 and 3, lost too.
     push(fleet, rollout(1, "z"))
     fleet.remove("z")
     fleet.remove("c")
     fleet.remove("d")
     returned(fleet, 1, "b")
     fleet.record_heartbeat(heartbeat(1, "b"), 0.0)  # ready: the work of slots 2 and 3 is divided among a and b
-    for made in (rollout(1, "b", 0, generation=1), rollout(1, "b", 1, generation=1), rollout(0, "a", 0)):
+    for made in (rollout(1, "b", 0, generation=1), rollout(0, "a", 0), rollout(0, "a", 1)):
         push(fleet, made)
     taken = fleet.take()
     assert taken is not None
-    # (slot, generation, seq): a = (0, 0, 0), z = (1, 0, 0), b = (1, 1, 0) and (1, 1, 1)
-    assert [(r.incarnation, r.seq) for r in taken] == [("a", 0), ("z", 0), ("b", 0), ("b", 1)]
+    # (slot, generation, seq): a = (0, 0, 0) and (0, 0, 1), z = (1, 0, 0), b = (1, 1, 0)
+    assert [(r.incarnation, r.seq) for r in taken] == [("a", 0), ("a", 1), ("z", 0), ("b", 0)]
 
 
 def test_the_generation_is_the_one_that_was_given() -> None:
@@ -467,6 +467,61 @@ def test_pending_rollouts_count_against_the_quota() -> None:
     answer = fleet.admit(rollout(0, "a", 1))
     assert answer is not None
     assert answer.slug == "surplus"
+
+
+def test_joining_again_does_not_renew_the_quota() -> None:
+    """The slot has delivered for this version: its next incarnation is asked for nothing, and what it pushes all the
+    same is surplus, so the other slot's rollout is used. With the next version it is asked as ever."""
+    fleet = make_fleet(2, "a", "b")
+    push(fleet, rollout(0, "a", 0))
+    fleet.remove("a")
+    returned(fleet, 0, "c")
+    fleet.record_heartbeat(heartbeat(0, "c"), 0.0)
+    assert orders(fleet).collect == {0: 0, 1: 1}
+    answer = fleet.admit(rollout(0, "c", 0, generation=1))
+    assert answer is not None
+    assert answer.slug == "surplus"
+    push(fleet, rollout(1, "b", 0))
+    taken = fleet.take()
+    assert taken is not None
+    assert [made.incarnation for made in taken] == ["a", "b"]
+    fleet.begin(1)
+    assert orders(fleet).collect == {0: 1, 1: 1}
+    push(fleet, rollout(0, "c", 0, 1, generation=1))
+
+
+def test_who_was_lost_before_its_rollout_was_logged_is_replaced() -> None:
+    """Its successor delivers in its place; a rollout that is still being logged counts, and comes into the batch."""
+    fleet = make_fleet(2, "a", "b")
+    fleet.remove("a")
+    returned(fleet, 0, "c")
+    fleet.record_heartbeat(heartbeat(0, "c"), 0.0)
+    assert orders(fleet).collect[0] == 1
+    made = rollout(0, "c", 0, generation=1)
+    assert fleet.admit(made) is None
+    fleet.remove("c")
+    returned(fleet, 0, "d")
+    fleet.record_heartbeat(heartbeat(0, "d"), 0.0)
+    assert orders(fleet).collect[0] == 0
+    fleet.accept(made)
+    push(fleet, rollout(1, "b", 0))
+    taken = fleet.take()
+    assert taken is not None
+    assert [one.incarnation for one in taken] == ["c", "b"]
+
+
+def test_a_successor_takes_over_work_beside_what_its_slot_has_delivered() -> None:
+    """Slot 0 has delivered and lost its actor, slot 1 is lost: the successor in slot 0 makes the one that is missing,
+    and no second one."""
+    fleet = make_fleet(2, "a", "b")
+    push(fleet, rollout(0, "a", 0))
+    fleet.remove("a")
+    fleet.remove("b")
+    returned(fleet, 0, "c")
+    fleet.record_heartbeat(heartbeat(0, "c"), 0.0)
+    assert orders(fleet).collect == {0: 1}
+    push(fleet, rollout(0, "c", 0, generation=1))
+    assert fleet.take() is not None
 
 
 def test_a_refused_surplus_leaves_no_trace() -> None:
