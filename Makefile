@@ -15,7 +15,7 @@ INVERTED_PENDULUM := --num-envs 1024 --num-steps 20 --total-steps 1.5e6
 CHAOS_POINTS ?= 20
 CHAOS_SEED ?=
 
-.PHONY: help setup train test test-runs test-chaos test-docker test-hosts lint bench paper-smoke lock clean
+.PHONY: help setup train test test-runs test-docs test-chaos test-docker test-hosts lint bench paper-smoke lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -35,6 +35,9 @@ test: setup  ## all tests that fit in a few minutes
 
 test-runs: setup  ## whole runs: async, an actor or the learner killed, Ctrl-C
 	@$(BIN)/python -m pytest tests/whole_runs -p no:randomly -rA --tb=short
+
+test-docs: setup  ## every reskpn command of README and docs, typed page by page with small sizes
+	@$(BIN)/python -m pytest tests/documents_run -p no:randomly -rA --tb=short
 
 test-docker: setup  ## docker-compose.yml for real: build, run, kill, scale; says so where it cannot be run here
 	@$(BIN)/python -m scripts.docker_test || [ $$? = 77 ]

@@ -21,8 +21,13 @@ class Shown:
     page: str
     line: int
     text: str
-    in_block: bool
-    """In a block of code, which readers copy, not within a sentence."""
+    block: int
+    """The number of its block of code on the page, which readers copy whole; 0 within a sentence."""
+
+    @property
+    def in_block(self) -> bool:
+        """Whether it stands in a block of code."""
+        return self.block > 0
 
     @property
     def words(self) -> list[str]:
@@ -54,25 +59,27 @@ def shown_commands() -> list[Shown]:
 def _of_page(page: str, text: str) -> Iterator[Shown]:
     fenced = False
     pending = ""
+    block, in_code = 0, False
     for number, line in enumerate(text.splitlines(), 1):
-        if line.lstrip().startswith("```"):
-            fenced = not fenced
+        fence = line.lstrip().startswith("```")
+        fenced ^= fence
+        if fence:
             continue
-        if not fenced and not line.startswith("    "):
+        in_code, before = fenced or line.startswith("    "), in_code
+        if not in_code:
             pending = ""
             for found in INLINE.finditer(line):
-                yield from _command(page, number, found.group(1).replace("\\|", "|"), in_block=False)
+                yield from _command(page, number, found.group(1).replace("\\|", "|"), block=0)
             continue
+        block += not before
         joined = f"{pending} {line.strip()}".strip()
-        if joined.endswith("\\"):
-            pending = joined[:-1].strip()
-            continue
-        pending = ""
-        yield from _command(page, number, joined, in_block=True)
+        pending = joined[:-1].strip() if joined.endswith("\\") else ""
+        if not pending:
+            yield from _command(page, number, joined, block=block)
 
 
-def _command(page: str, line: int, text: str, *, in_block: bool) -> Iterator[Shown]:
-    shown = Shown(page, line, text.removeprefix("$ "), in_block)
+def _command(page: str, line: int, text: str, *, block: int) -> Iterator[Shown]:
+    shown = Shown(page, line, text.removeprefix("$ "), block)
     try:
         program = shown.program
     except ValueError:  # an apostrophe in a line of output
