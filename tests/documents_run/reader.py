@@ -131,7 +131,7 @@ class Reader:
         done = subprocess.run(
             command, cwd=self.folder, env=self.settings(shown), capture_output=True, text=True, timeout=300.0
         )
-        # What a doctor finds depends on the machine: this one's disk may be too small for the run that the page speaks of.
+        # What a doctor finds depends on the machine: the disk may be too small for the run that the page speaks of.
         found_something = words[0] == "doctor" and "problem " in done.stdout
         assert done.returncode == 0 or found_something, f"{shown}\n{shlex.join(command)}\n{done.stdout}\n{done.stderr}"
 
