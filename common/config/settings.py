@@ -17,9 +17,7 @@ from common.config.algorithm import AlgorithmSettings
 from common.config.critic import CriticSettings
 from common.config.kinds import (
     Count,
-    Kept,
     Names,
-    Natural,
     Port,
     Positive,
     Section,
@@ -27,6 +25,7 @@ from common.config.kinds import (
     Staleness,
 )
 from common.config.randomisation import NOT_RANDOMISED, RandomisationSettings
+from common.config.records import EvaluationSettings, LogSettings
 from common.config.rkhs import RkhsSettings, impossibility
 from common.engine_names import PHYSICS
 from common.learners import LEARNERS
@@ -61,30 +60,6 @@ class TransportSettings(Section):
     """seconds of silence after which a peer counts as lost"""
     health_port: Port | None = None
     """port of the learner on 127.0.0.1 for health checks over plain HTTP; by default none"""
-
-
-class LogSettings(Section):
-    """The MCAP log of the run."""
-
-    segment_bytes: Count = 1 << 30
-    """size in bytes at which the log continues in a new file"""
-    compression: Literal["none", "lz4"] = "none"
-    """compression of the log's chunks"""
-    policy_every: Count = 10
-    """number of versions from one logged policy to the next"""
-    checkpoint_every: Count = 50
-    """number of versions from one checkpoint to the next"""
-    keep: Kept = "everything"
-    """segments that are kept: everything, or what the newest K checkpoints need (K: a number; 2 or more is safer)"""
-    signing_key: Path | None = None
-    """PEM file with the Ed25519 private key that signs the chain of the log; default: no signatures"""
-
-
-class EvaluationSettings(Section):
-    """The final evaluation with the deterministic policy."""
-
-    episodes: Natural = 64
-    """episodes of the final evaluation; 0: none"""
 
 
 def _is_none(value: object) -> bool:

@@ -194,6 +194,8 @@ CHANNELS: dict[str, ChannelSpec] = {
         ChannelSpec("/event", "json", _EVENT),
         ChannelSpec("/eval", "json", _EVAL),
         ChannelSpec("/trajectory", "json", _TRAJECTORY),
+        ChannelSpec("/motion", "msgpack"),
+        ChannelSpec("/divergence", "msgpack"),
         ChannelSpec("/seal", "json", _SEAL),
     )
 }

@@ -18,7 +18,7 @@ LEARNER = "learner"
 
 _POLICY = (f"{ROOT}/*/policy/notify",)
 _LATEST = (f"{ROOT}/*/policy/latest",)
-_PUSHED = tuple(f"{ROOT}/*/{kind}/*" for kind in ("rollout", "evaluation", "environment", "assessment"))
+_PUSHED = tuple(f"{ROOT}/*/{kind}/*" for kind in ("rollout", "evaluation", "environment", "assessment", "divergence"))
 _HEARTBEATS = (f"{ROOT}/*/heartbeat/*",)
 _PUBLISHED = (f"{ROOT}/*/metrics", f"{ROOT}/*/status")
 _WORKERS = tuple(f"{ROOT}/*/alive/{role}/*" for role in ("actor", "evaluator"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Self
 
 import numpy as np
@@ -12,6 +12,7 @@ from common.wire.codec import Limits
 from common.wire.fields import MAX_MAGNITUDE, Amount, Count, RunId, array, check_episodes, require_bounded, text
 from common.wire.keys import RUN_ID
 from common.wire.message import Message
+from common.wire.motion import Packed, nothing_packed
 
 MAX_EPISODES = 1024
 MAX_POSITIONS = 1 << 15
@@ -23,7 +24,7 @@ class Assessment(Message):
     """Returns and lengths of e deterministic episodes of one version, and the beginning of the first of them.
 
     `evaluator` is its incarnation. `qpos` [t, q] are the joint positions before each of the first t steps, `step_s`
-    seconds apart; t is 0 where none were kept.
+    seconds apart; t is 0 where none were kept. `motions` are the first episodes as `pack` makes them.
     """
 
     LIMITS = Limits(max_message=1 << 20)
@@ -35,6 +36,7 @@ class Assessment(Message):
     episode_length: Annotated[np.ndarray, array("int32", "e")]
     qpos: Annotated[np.ndarray, array("float32", "t q")]
     step_s: Amount
+    motions: Packed = field(default_factory=nothing_packed)
 
     @classmethod
     def decode(cls, data: bytes, limits: Limits | None = None) -> Self:

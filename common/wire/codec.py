@@ -19,7 +19,7 @@ import numpy as np
 from common.errors import CodecError
 from common.printable import quoted
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 """Of all messages together: both sides of a connection must have the same."""
 
 DTYPES: Mapping[str, np.dtype[Any]] = {

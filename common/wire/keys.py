@@ -6,6 +6,7 @@ reskpn/v1/<run>/rollout/<slot>          query push of rollouts
                /evaluation/<slot>       query push of evaluations
                /environment/<slot>      query push of environment states; asked with nothing, the one to go on from
                /assessment/<id>         query push of what an evaluator found
+               /divergence/<slot>       query push of the steps before a simulation diverged
                /policy/notify           what the learner wants now, and the newest version
                /policy/latest           the newest snapshot, asked for
                /heartbeat/<slot>
@@ -59,6 +60,9 @@ class Keys:
     def assessment(self, identity: str) -> str:
         return f"{self._base}/assessment/{_chunk('id', identity)}"
 
+    def divergence(self, slot: int) -> str:
+        return f"{self._base}/divergence/{_slot(slot)}"
+
     def heartbeat(self, slot: int) -> str:
         return f"{self._base}/heartbeat/{_slot(slot)}"
 
@@ -84,6 +88,11 @@ class Keys:
     def assessments(self) -> str:
         """Wildcard: `assessment` of every id."""
         return f"{self._base}/assessment/*"
+
+    @property
+    def divergences(self) -> str:
+        """Wildcard: `divergence` of every slot."""
+        return f"{self._base}/divergence/*"
 
     @property
     def heartbeats(self) -> str:

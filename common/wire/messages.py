@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -36,6 +36,7 @@ from common.wire.fields import (
     text,
 )
 from common.wire.message import Message
+from common.wire.motion import Packed, nothing_packed
 
 MAX_TEXT = 4096
 Slug = Annotated[str, text(40, re.compile("[a-z_]*"))]
@@ -209,7 +210,7 @@ class Heartbeat(Message):
 
 @dataclass(frozen=True, eq=False)
 class Evaluation(Message):
-    """Returns and lengths of e >= 1 deterministic episodes of one version."""
+    """Returns and lengths of e >= 1 deterministic episodes of one version, and the motions of the first (`pack`)."""
 
     LIMITS = Limits(max_message=1 << 20)
 
@@ -219,6 +220,7 @@ class Evaluation(Message):
     version: Count
     episode_return: Annotated[np.ndarray, array("float32", "e")]
     episode_length: Annotated[np.ndarray, array("int32", "e")]
+    motions: Packed = field(default_factory=nothing_packed)
 
     @classmethod
     def decode(cls, data: bytes, limits: Limits | None = None) -> Self:

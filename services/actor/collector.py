@@ -23,8 +23,12 @@ from common.maths.policy import Policy
 from common.maths.running import Moments
 from common.maths.trees import from_arrays, to_arrays
 from common.physics.environments import EnvState, make_environment
+from services.actor.history import DivergedSteps, StateHistory, StepStates
 from services.actor.rollouts import CollectedRollout, Trajectory
 from services.worker.policy_reader import PolicyReader
+
+_Collected = tuple[EnvState, CollectedRollout[Array], StepStates[Array]]
+"""The environments after a rollout, the rollout, and the states it went through."""
 
 Tree = TypeVar("Tree", EnvState, Moments)
 
@@ -60,7 +64,9 @@ class Collector:
         )
         key = jax.random.fold_in(jax.random.key(settings.seed), holder.slot)
         self._key = jax.random.fold_in(key, holder.generation)
-        self._collect: Callable[..., tuple[EnvState, CollectedRollout[Array]]] = jax.jit(self._scan)
+        self._collect: Callable[..., _Collected] = jax.jit(self._scan)
+        self._history = StateHistory(settings.num_steps)
+        self._made: tuple[StepStates[Array], Trajectory[np.ndarray]] | None = None
         self._state: EnvState | None = None
         self._pending: EnvState | None = None
         self.seq = 0
@@ -82,8 +88,9 @@ class Collector:
         """
         began_s, physics_s = time.perf_counter(), self._environment.physics_seconds()
         key = jax.random.fold_in(jax.random.fold_in(self._key, COLLECT), self.seq)
-        self._pending, collected = self._collect(policy, self._state, key)
+        self._pending, collected, states = self._collect(policy, self._state, key)
         on_host: CollectedRollout[np.ndarray] = jax.device_get(collected)
+        self._made = states, on_host.trajectory
         timing = {"collect": time.perf_counter() - began_s}
         if physics_s is not None:
             timing["physics"] = (self._environment.physics_seconds() or 0.0) - physics_s
@@ -94,6 +101,17 @@ class Collector:
         """Advance to the end of the last rollout, which the learner has accepted."""
         self._state = self._pending
         self.seq += 1
+        if self._made is not None:
+            self._history.add(*self._made)
+
+    def diverged(self) -> DivergedSteps | None:
+        """The steps before the first divergence in the rollout that was kept last; None where there was none."""
+        return self._history.diverged()
+
+    @property
+    def step_s(self) -> float:
+        """Simulated seconds per step."""
+        return self._environment.step_s
 
     def environments(self) -> dict[str, np.ndarray]:
         """The state from which rollout number `seq` starts, by path. Only after `compile`."""
@@ -108,8 +126,9 @@ class Collector:
         self._state = jax.device_put(from_arrays(self._state, arrays))
         self._pending = None
         self.seq = seq
+        self._history.clear()
 
-    def _scan(self, policy: Policy, state: EnvState, key: Array) -> tuple[EnvState, CollectedRollout[Array]]:
+    def _scan(self, policy: Policy, state: EnvState, key: Array) -> _Collected:
         """T steps. A run that branches adds one: the last step repeated with the mirrored action."""
         steps = self._settings.num_steps
         keys = jax.random.split(key, steps)
@@ -118,15 +137,16 @@ class Collector:
             keys, mirrored = jnp.concatenate([keys, keys[-1:]]), jnp.arange(steps + 1) == steps
         step = partial(self._one_step, policy)
         start = (state, state, policy.observations, jnp.zeros_like(state.obs))
-        (end, _, _, truncated_obs), trajectory = jax.lax.scan(step, start, (keys, mirrored))
+        (end, _, _, truncated_obs), (trajectory, states) = jax.lax.scan(step, start, (keys, mirrored))
         mirror = jax.tree.map(lambda x: x[-1] if self._settings.branches else x[0, :0], trajectory)
         trajectory = jax.tree.map(lambda x: x[:steps], replace(trajectory, next_obs=trajectory.next_obs[:0]))
         diverged = (end.diverged - state.diverged).sum()
-        return end, CollectedRollout(trajectory, end.obs, truncated_obs, mirror, diverged)
+        states = jax.tree.map(lambda x: x[:steps], states)
+        return end, CollectedRollout(trajectory, end.obs, truncated_obs, mirror, diverged), states
 
     def _one_step(
         self, policy: Policy, carry: tuple[EnvState, EnvState, Moments, Array], at_t: tuple[Array, Array]
-    ) -> tuple[tuple[EnvState, EnvState, Moments, Array], Trajectory[Array]]:
+    ) -> tuple[tuple[EnvState, EnvState, Moments, Array], tuple[Trajectory[Array], StepStates[Array]]]:
         """One step from the newest state or, mirrored, from the state before it; the carry holds both.
 
         Observations are whitened by moments that already include them.
@@ -154,9 +174,10 @@ class Collector:
             episode_return=transition.episode_return,
             episode_length=transition.episode_length,
         )
+        states = StepStates(start.bodies.q, start.bodies.qd, after.diverged > start.diverged)
         # The mirrored step is the last one; the environments continue from the state it did not change.
         after = _choose(mirrored, newest, after) if branching else after
-        return (after, start, moments, truncated_obs), made
+        return (after, start, moments, truncated_obs), (made, states)
 
 
 def _choose(condition: Array, then: Tree, otherwise: Tree) -> Tree:

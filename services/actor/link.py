@@ -6,6 +6,7 @@ import threading
 from typing import final
 
 from common.errors import CodecError, SessionError
+from common.wire.divergence import Divergence
 from common.wire.messages import Environment, Evaluation, Heartbeat
 from common.wire.rollout import Rollout
 from common.wire.session import Session
@@ -50,6 +51,10 @@ class ActorLink(WorkerLink):
     def push_environment(self, environment: Environment, stop: threading.Event) -> bool:
         """Send the state of the slot's environments; as `push`."""
         return self._push(self._keys.environment(self._slot), environment.encode(), stop)
+
+    def push_divergence(self, divergence: Divergence, stop: threading.Event) -> bool:
+        """Send the last steps of a diverged simulation; as `push`, and False where the log has enough of them."""
+        return self._push(self._keys.divergence(self._slot), divergence.encode(), stop)
 
     def send_heartbeat(self, heartbeat: Heartbeat) -> None:
         """Publish a heartbeat; there is no answer."""

@@ -15,13 +15,16 @@ from common.memory import keep_large_blocks
 from common.physics.engines import require_synchronous_dispatch, resolve_physics
 from common.physics.pinning import pinned
 from common.runtime import enable_compilation_cache, hardware, software_versions
+from common.wire.divergence import Divergence
 from common.wire.messages import Environment, Evaluation, Orders, digest_arrays
+from common.wire.motion import pack
+from common.wire.rollout import Rollout
 from common.wire.session import Session
 from services.actor.collector import Collector, SlotGeneration
 from services.actor.heartbeat import NO_POLICY, HeartbeatSender
 from services.actor.link import ActorLink
 from services.actor.rollouts import rollout_message
-from services.worker.deterministic import evaluate
+from services.worker.deterministic import play_episodes
 from services.worker.joining import Assignment, connect, join
 from services.worker.link import AssignmentLost
 from services.worker.policy_reader import PolicyReader
@@ -232,16 +235,49 @@ class ActorIncarnation:
         if taken:
             collector.keep()
             self._made += 1
+            if collected.diverged:
+                self._report_divergence(collector, rollout)
             self._heartbeats.stepped(self._settings.envs_per_actor * self._settings.num_steps)
         self._heartbeats.set_state("waiting")
         return taken
 
+    def _report_divergence(self, collector: Collector, rollout: Rollout) -> None:
+        """Send the steps before the first divergence in the rollout that was accepted last."""
+        found = collector.diverged()
+        if found is None:
+            return
+        motion = found.motion
+        divergence = Divergence(
+            run=rollout.run,
+            slot=rollout.slot,
+            incarnation=rollout.incarnation,
+            generation=rollout.generation,
+            seq=rollout.seq,
+            policy_version=rollout.policy_version,
+            env=found.env,
+            step=found.step,
+            step_s=collector.step_s,
+            qpos=motion.qpos,
+            qvel=motion.qvel,
+            action=motion.action,
+            reward=motion.reward,
+        )
+        self._link.push_divergence(divergence, self._stop)
+
     def _evaluate(self, reader: PolicyReader, policy: Policy, episodes: int) -> None:
         """Evaluate the policy without exploration and send the result."""
         self._heartbeats.set_state("evaluating")
-        returns, lengths = evaluate(self._settings, reader, policy, episodes, self._threads)
+        played = play_episodes(self._settings, reader, policy, episodes, self._threads)
         assignment, version = self._assignment, self._version
-        evaluation = Evaluation(assignment.run, assignment.slot, assignment.incarnation, version, returns, lengths)
+        evaluation = Evaluation(
+            run=assignment.run,
+            slot=assignment.slot,
+            incarnation=assignment.incarnation,
+            version=version,
+            episode_return=played.returns,
+            episode_length=played.lengths,
+            motions=pack(played.motions, run=assignment.run, version=version, step_s=played.step_s),
+        )
         if self._link.push_evaluation(evaluation, self._stop):
             self._evaluated = self._version
         self._heartbeats.set_state("waiting")

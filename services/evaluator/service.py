@@ -21,6 +21,7 @@ from common.physics.pinning import pinned
 from common.runtime import enable_compilation_cache, hardware, software_versions
 from common.wire.assessment import MAX_EPISODES, MAX_POSITIONS, Assessment
 from common.wire.messages import Orders
+from common.wire.motion import pack
 from common.wire.session import Session
 from services.evaluator.link import EvaluatorLink
 from services.evaluator.state_refresher import StateRefresher
@@ -211,6 +212,9 @@ class EvaluatorIncarnation:
             episode_length=played.lengths,
             qpos=played.qpos[: min(self._options.positions, MAX_POSITIONS // played.qpos.shape[1])],
             step_s=self._episodes.step_s,
+            motions=pack(
+                played.motions, run=self._assignment.run, version=snapshot.version, step_s=self._episodes.step_s
+            ),
         )
         self._due = (snapshot.version // self._options.every + 1) * self._options.every
         if self._link.push(assessment, self._stop):

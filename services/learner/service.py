@@ -28,7 +28,7 @@ from services.learner.endpoints.sizes import check_rollout_size
 from services.learner.loop import TrainingLoop
 from services.learner.reporting.curves import points_of_evaluation, restore_points
 from services.learner.reporting.outlets import Beginning, Outlets, open_outlets
-from services.learner.reporting.summary import conclude, describe, final_record, summarise
+from services.learner.reporting.summary import conclude, describe, final_motions, final_record, summarise
 from services.learner.resume.numerical_origin import adopt_numerical_origin
 from services.learner.resume.origin import Origin, begin_from
 from services.learner.resume.plan import Resumption, chain_of, plan_resumption, recorded_id
@@ -131,6 +131,7 @@ def _make_hub(
         starts=resumption.starts,
         logged_environments=resumption.logged_environments,
         serve=None if resuming is None else resuming.hand_over,
+        logged_records=resumption.logged_records,
     )
 
 
@@ -152,7 +153,8 @@ def _run_to_its_end(
             logged = evaluation is None or replay.holds("/eval", evaluation.version)
             record = None if evaluation is None else final_record(evaluation, loop.env_steps)
             outlets.scalars.add(loop.env_steps, {} if record is None else points_of_evaluation(record))
-            conclude(run_dir, outlets.log, summary, None if logged else record)
+            motions = None if evaluation is None else final_motions(evaluation)
+            conclude(run_dir, outlets.log, summary, None if logged else record, motions)
             loop.draw_evaluations()
     except ReskpnError as error:
         outlets.events.log("error", "run_failed", str(error))  # the command line prints it

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from jax import Array
 from common.config.settings import RunSettings
 from common.maths.policy import Policy
 from common.physics.environments import EnvState, make_environment
+from common.wire.motion import Motion
 from services.worker.policy_reader import PolicyReader
 
 STARTS = 0xE7A1
@@ -21,11 +23,28 @@ STARTS = 0xE7A1
 
 @dataclass(frozen=True)
 class Episodes:
-    """Returns [e] float32 and lengths [e] int32; joint positions [t, q] float32 before each step of the first."""
+    """Returns [e] float32 and lengths [e] int32; joint positions [t, q] float32 before each step of the first.
+
+    `motions` are the first episodes whole, as many as `evaluation.trajectories`; `step_s` is simulated seconds a step.
+    """
 
     returns: np.ndarray
     lengths: np.ndarray
     qpos: np.ndarray
+    motions: Sequence[Motion] = ()
+    step_s: float = 0.0
+
+
+class _Steps(NamedTuple):
+    """[t, n, ...]: the steps of the first n environments, whether or not they belong to their first episodes."""
+
+    qpos: Array
+    qvel: Array
+    action: Array
+    reward: Array
+
+
+_Played = tuple[Array, Array, _Steps]
 
 
 class DeterministicEpisodes:
@@ -46,7 +65,8 @@ class DeterministicEpisodes:
         self._reader = reader
         self._steps = settings.episode_length
         self._key = jax.random.fold_in(jax.random.key(settings.seed), STARTS)
-        self._run: Callable[[Policy, EnvState], tuple[Array, Array, Array]] = jax.jit(self._scan)
+        self._kept = min(settings.evaluation.trajectories, episodes)
+        self._run: Callable[[Policy, EnvState], _Played] = jax.jit(self._scan)
 
     @property
     def step_s(self) -> float:
@@ -55,28 +75,42 @@ class DeterministicEpisodes:
 
     def play(self, policy: Policy) -> Episodes:
         """Play the first episode of each environment."""
-        played = self._run(policy, self._environment.reset(self._key))
-        returns, lengths, qpos = (np.asarray(array) for array in played)
-        return Episodes(returns, lengths, qpos[: lengths[0]])
+        returns, lengths, steps = jax.device_get(self._run(policy, self._environment.reset(self._key)))
+        motions = [
+            Motion(*(array[: lengths[n], n] for array in (steps.qpos, steps.qvel, steps.action, steps.reward)))
+            for n in range(self._kept)
+        ]
+        return Episodes(returns, lengths, steps.qpos[: lengths[0], 0], motions, self.step_s)
 
-    def _scan(self, policy: Policy, state: EnvState) -> tuple[Array, Array, Array]:
-        def one_step(carry: tuple[EnvState, Array, Array], _: None) -> tuple[tuple[EnvState, Array, Array], Array]:
+    def _scan(self, policy: Policy, state: EnvState) -> _Played:
+        kept = max(1, self._kept)
+
+        def one_step(carry: tuple[EnvState, Array, Array], _: None) -> tuple[tuple[EnvState, Array, Array], _Steps]:
             before, returns, lengths = carry
-            state, transition = self._environment.step(before, self._reader.mode(policy, before.obs))
+            action = self._reader.mode(policy, before.obs)
+            state, transition = self._environment.step(before, action)
             first = (lengths == 0) & (transition.episode_length > 0)
             returns = jnp.where(first, transition.episode_return, returns)
             lengths = jnp.where(first, transition.episode_length, lengths)
-            return (state, returns, lengths), before.bodies.q[0]
+            step = _Steps(before.bodies.q[:kept], before.bodies.qd[:kept], action[:kept], transition.reward[:kept])
+            return (state, returns, lengths), step
 
         envs = self._environment.num_envs
         start = (state, jnp.zeros(envs, jnp.float32), jnp.zeros(envs, jnp.int32))
-        (_, returns, lengths), qpos = jax.lax.scan(one_step, start, length=self._steps)
-        return returns, lengths, qpos
+        (_, returns, lengths), steps = jax.lax.scan(one_step, start, length=self._steps)
+        return returns, lengths, steps
+
+
+def play_episodes(
+    settings: RunSettings, reader: PolicyReader, policy: Policy, episodes: int, threads: int = 0
+) -> Episodes:
+    """Play `episodes` deterministic episodes. Compiles anew on every call."""
+    return DeterministicEpisodes(settings, reader, episodes, threads).play(policy)
 
 
 def evaluate(
     settings: RunSettings, reader: PolicyReader, policy: Policy, episodes: int, threads: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns [e] and lengths [e] of `episodes` deterministic episodes. Compiles anew on every call."""
-    played = DeterministicEpisodes(settings, reader, episodes, threads).play(policy)
+    """Returns [e] and lengths [e] of deterministic episodes, as `play_episodes`."""
+    played = play_episodes(settings, reader, policy, episodes, threads)
     return played.returns, played.lengths

@@ -21,6 +21,7 @@ from common.wire.keys import Keys
 from common.wire.messages import ACCEPTED, PushReply
 from common.wire.report import EvaluationReport
 from common.wire.session import Request
+from services.learner.endpoints.motions import MotionLog
 from services.learner.endpoints.rate_limit import RateLimit
 from services.learner.endpoints.replies import QUEUE_FULL
 from services.learner.reporting.evaluations import eval_record, source_of, trajectory_record
@@ -67,12 +68,14 @@ class EvaluatorHandler:
         changed: threading.Condition,
         on_refused: Callable[[CodecError], None],
         clock_s: Callable[[], float],
+        motions: MotionLog,
     ) -> None:
         self._run = run
         self._keys = Keys(run)
         self._queue_bytes = settings.transport.queue_bytes
         self._batch_size = settings.batch_size
         self._log = log
+        self._motions = motions
         self._fleet = fleet
         self._changed = changed
         self._on_refused = on_refused
@@ -138,6 +141,7 @@ class EvaluatorHandler:
                     "bad_key",
                     "an assessment was pushed on the key of another evaluator",
                 )
+            motions = self._motions.read(given.motions, given.version, given.episode_length)
             if self._log.pending_bytes + len(request.payload) > self._queue_bytes:
                 return QUEUE_FULL
             with self._changed:
@@ -152,6 +156,7 @@ class EvaluatorHandler:
             return PushReply.of(error)
         if len(given.qpos):
             self._log.write("/trajectory", trajectory_record(given))
+        self._motions.write(motions, source_of(given.evaluator))
         self._log.write("/eval", record, on_durable=lambda: self._logged(record, request))
         return None
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 
 from common.config.settings import RunSettings
@@ -15,15 +15,18 @@ from common.errors import CodecError
 from common.log.writer import LogWriter
 from common.printable import printable, shortened
 from common.wire.keys import JOIN, STATUS, Keys, parse_alive
-from common.wire.messages import ACCEPTED, Evaluation, Heartbeat, PushReply, Snapshot
+from common.wire.messages import Evaluation, Heartbeat, Snapshot
 from common.wire.report import Progress, RunReport
 from common.wire.rollout import Rollout
 from common.wire.session import Request, Session
-from services.learner.endpoints.admission import check_evaluation, check_heartbeat
+from services.learner.endpoints.admission import check_heartbeat
+from services.learner.endpoints.divergences import DivergenceHandler
 from services.learner.endpoints.environments import EnvironmentHandler
 from services.learner.endpoints.evaluators import EvaluatorHandler
+from services.learner.endpoints.final_evaluation import FinalEvaluationHandler
 from services.learner.endpoints.joins import JoinHandler
 from services.learner.endpoints.monitor import RunMonitor
+from services.learner.endpoints.motions import MotionLog
 from services.learner.endpoints.rollouts import RolloutHandler
 from services.learner.endpoints.sizes import check_snapshot_size
 from services.learner.scheduling.fleet import Fleet
@@ -47,10 +50,12 @@ class Hub:
         *,
         starts: Sequence[Start] = (),
         logged_environments: Collection[tuple[int, int, int]] = (),
+        logged_records: Mapping[str, int] | None = None,
         serve: Callable[[str, Callable[[Request], None]], None] | None = None,
     ) -> None:
         """`on_event(level, name, text)` must not block; `logged_environments`: (version, slot, generation) of each;
-        `serve`: in place of the session's, for status and joins."""
+        `logged_records`: the number of records in the log by topic; `serve`: in place of the session's, for status and
+        joins."""
         self._run = run
         self._settings = settings
         self._session, self._serve = session, serve or session.serve
@@ -61,15 +66,29 @@ class Hub:
         self._fleet = Fleet(run, settings.actors, starts, buffer_factory(settings))
         self._snapshot = b""
         self._digest = ""
-        self._evaluation: Evaluation | None = None
         self._monitor = RunMonitor(run, settings, time.monotonic())
         self._opened_s, self._open = time.monotonic(), False
         # to here.
         self.environments = EnvironmentHandler(
             run, settings, log, self._fleet, self._changed, partial(self._refused, "environment"), logged_environments
         )
+        motions = MotionLog(run, settings, log, (logged_records or {}).get("/motion", 0))
+        refused = partial(self._refused, "assessment")
         self.evaluators = EvaluatorHandler(
-            run, settings, log, self._fleet, self._changed, partial(self._refused, "assessment"), time.monotonic
+            run, settings, log, self._fleet, self._changed, refused, time.monotonic, motions
+        )
+        refused = partial(self._refused, "evaluation")
+        self._final_evaluation = FinalEvaluationHandler(self._keys, self._fleet, motions, self._changed, refused)
+        refused = partial(self._refused, "divergence")
+        self._divergences = DivergenceHandler(
+            run,
+            settings,
+            log,
+            self._fleet,
+            self._changed,
+            refused,
+            time.monotonic,
+            (logged_records or {}).get("/divergence", 0),
         )
         refused = partial(self._refused, "join")
         self._joins = JoinHandler(
@@ -85,9 +104,10 @@ class Hub:
         session, keys = self._session, self._keys
         session.serve(keys.policy_latest, self._serve_snapshot)
         session.serve(keys.rollouts, self._rollouts.on_request)
-        session.serve(keys.evaluations, self._on_evaluation)
+        session.serve(keys.evaluations, self._final_evaluation.on_request)
         session.serve(keys.environments, self.environments.on_request)
         session.serve(keys.assessments, self.evaluators.on_request)
+        session.serve(keys.divergences, self._divergences.on_request)
         session.subscribe(keys.heartbeats, self._on_heartbeat)
         session.watch_alive(keys.all_alive, self._on_alive)
         session.declare_alive(keys.alive("learner", "learner"))
@@ -157,9 +177,7 @@ class Hub:
 
     def evaluation(self, timeout_s: float) -> Evaluation | None:
         """The evaluation asked for, or None when it did not come within the time."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._evaluation is not None, timeout_s)
-            return self._evaluation
+        return self._final_evaluation.wait(timeout_s)
 
     def finish(self) -> None:
         """Order all actors to end: the run is over."""
@@ -275,20 +293,6 @@ class Hub:
             return
         if changed:
             self.announce()
-
-    def _on_evaluation(self, request: Request) -> None:
-        try:
-            evaluation = Evaluation.decode(request.payload)
-            with self._changed:
-                check_evaluation(self._fleet, self._keys, request.key, evaluation)
-                if self._evaluation is None:
-                    self._evaluation = evaluation
-                    self._changed.notify_all()
-        except CodecError as error:
-            self._refused("evaluation", error)
-            request.reply(PushReply.of(error).encode())
-            return
-        request.reply(ACCEPTED.encode())
 
     def _serve_snapshot(self, request: Request) -> None:
         with self._changed:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from common.log.segments import LOG_DIRECTORY
 from common.log.writer import LogWriter
 from common.runs.directory import SUMMARY, TENSORBOARD, write_json
 from common.wire.messages import Evaluation
+from common.wire.motion import Motions, unpack
 from services.learner.reporting.evaluations import OF_THE_RUN, eval_record
 from services.learner.reporting.statistics import TrainingReturn
 
@@ -35,13 +36,26 @@ class Outcome:
     digest: str
 
 
-def conclude(run_dir: Path, log: LogWriter, summary: dict[str, Any], record: dict[str, Any] | None) -> None:
-    """Write the records that mark the run as over, the summary last. `record`: of the evaluation, unless it is logged.
+def conclude(
+    run_dir: Path,
+    log: LogWriter,
+    summary: dict[str, Any],
+    record: dict[str, Any] | None,
+    motions: Motions | None = None,
+) -> None:
+    """Write the records that mark the run as over, the summary last.
+
+    Args:
+        record: of the evaluation, unless it is logged.
+        motions: of the same evaluation.
 
     Raises:
         LogWriteError: the log or the summary cannot be written.
     """
     if record is not None:
+        # First: where the record is in the log, the motions are, too.
+        if motions is not None:
+            log.write("/motion", motions.encode())
         log.write("/eval", record)
     log.flush(timeout_s=60.0)
     try:
@@ -114,3 +128,9 @@ def final_record(evaluation: Evaluation, env_steps: int) -> dict[str, Any]:
     """The run's own evaluation at its end, as `/eval` has it."""
     returns, lengths = evaluation.episode_return, evaluation.episode_length
     return eval_record(evaluation.version, env_steps, returns, lengths, source=OF_THE_RUN, behind=0)
+
+
+def final_motions(evaluation: Evaluation) -> Motions | None:
+    """The trajectories of the run's own evaluation, as `/motion` has them; None where there are none."""
+    motions = unpack(evaluation.motions)
+    return None if motions is None else replace(motions, source=OF_THE_RUN)

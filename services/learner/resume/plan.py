@@ -41,6 +41,8 @@ class Resumption:
         log_only_reason: the reason why acting is not even tried for the tail; None where it is.
         episodes: `/episode` records up to the restore point that mean returns depend on; `earlier_episodes`: the number
             of episodes before them.
+        logged_environments: (version, slot, generation) of each environment state in the log; `logged_records`: the number
+            of records in it by topic.
         set_aside: the `/set_aside` record of a batch that the run goes on without from now on; None for none.
         notes: for a person, line by line.
         chain: digest of the log, from which its writer goes on; `tally`: its totals, None for an empty log.
@@ -54,6 +56,7 @@ class Resumption:
     tail: Tail = field(default_factory=Tail)
     log_only_reason: str | None = None
     logged_environments: frozenset[tuple[int, int, int]] = frozenset()
+    logged_records: Mapping[str, int] = field(default_factory=dict)
     episodes: Sequence[dict[str, Any]] = ()
     earlier_episodes: int = 0
     set_aside: dict[str, Any] | None = None
@@ -112,6 +115,7 @@ def plan_resumption(
         tail=Tail(logged.last, logged.updates_after(point.version), logged.unused, logged.ahead),
         log_only_reason=log_only_reason,
         logged_environments=frozenset(logged.environments),
+        logged_records=LogReader(run_dir).counts(),
         episodes=[record for record in logged.episodes if record["version"] <= point.version],
         earlier_episodes=logged.before.earlier_episodes,
         set_aside=set_aside,

@@ -43,6 +43,8 @@ def one_of_each() -> dict[str, bytes | dict[str, Any]]:
         "/event": {"level": "info", "name": "joined", "text": "actor 0 joined", "slot": 0},
         "/eval": {"version": 1, "episodes": 4, "return_mean": 10.0},
         "/trajectory": {"version": 1, "source": "e1", "steps": [{"time_s": 0.5, "qpos": [0.25]}]},
+        "/motion": b"\x81\xa3run",
+        "/divergence": b"\x81\xa4slot",
         "/seal": {"log_digest": "00"},
     }
 

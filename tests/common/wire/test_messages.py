@@ -242,9 +242,9 @@ def test_another_schema(message, schema):
 
 def test_schema_is_named():
     """The sentence has the version that was given and what to do."""
-    error = refusal(Join, codec.encode({"schema": 4}))
+    error = refusal(Join, codec.encode({"schema": 5}))
     assert str(error) == (
-        "Join of schema 4, but this side speaks schema 3: run the same release on the learner and on the actors"
+        "Join of schema 5, but this side speaks schema 4: run the same release on the learner and on the actors"
     )
     assert refusal(Join, codec.encode({"run": ""})).reason == "missing_field"
 

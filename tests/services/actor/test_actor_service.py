@@ -28,6 +28,7 @@ from services.actor.rollouts import CollectedRollout, Trajectory
 from services.actor.service import run_actor
 from services.learner.endpoints.hub import Hub
 from services.learner.scheduling.slots import Start
+from services.worker.deterministic import Episodes
 from services.worker.state_file import read_state
 
 DEADLINE_S = 15.0
@@ -108,10 +109,11 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> type[StandIn]:
     monkeypatch.setattr(service, "enable_compilation_cache", lambda: None)
     monkeypatch.setattr(
         service,
-        "evaluate",
-        lambda settings, reader, policy, episodes, threads: (
+        "play_episodes",
+        lambda settings, reader, policy, episodes, threads: Episodes(
             np.full(episodes, float(policy["count"]), np.float32),
             np.full(episodes, 5, np.int32),
+            np.zeros((5, 2), np.float32),
         ),
     )
     return Fresh
