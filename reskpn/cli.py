@@ -18,6 +18,8 @@ COMMANDS = {
     "evaluator": "evaluate the policies of a run while it trains, without exploration",
     "status": "show how a run and each of its actors are doing, from any machine that reaches the learner",
     "evaluate": "play episodes of any version of a recorded run, without exploration",
+    "view": "show the trajectories of a recorded run in MuJoCo's web viewer, with a scrubber",
+    "film": "make a film and a strip of pictures of a recorded run, or a file for Foxglove",
     "runs": "list the runs of a folder, and delete those that are no longer needed",
     "doctor": "check this machine before a run: versions, devices, memory, disk, port, clock, Zenoh, physics",
     "replay": "verify a recorded run, or use its log: extract, publish, train another learner",
