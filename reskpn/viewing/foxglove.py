@@ -123,7 +123,8 @@ def _transforms(model: Any, data: Any, t_ns: int) -> list[Json]:
 
 def _shapes(model: Any, geom: int) -> Iterator[tuple[str, Json]]:
     """The primitives of a geom, as (field of the entity, primitive). Height fields and distance fields are left out."""
-    kinds, kind, size = mujoco.mjtGeom, model.geom_type[geom], model.geom_size[geom]
+    kinds, size = mujoco.mjtGeom, model.geom_size[geom]
+    kind = kinds(int(model.geom_type[geom]))
     pose = {"position": _vector(model.geom_pos[geom]), "orientation": _quaternion(model.geom_quat[geom])}
     common = {"pose": pose, "color": _colour(model, geom)}
     if kind == kinds.mjGEOM_PLANE:

@@ -96,7 +96,7 @@ def _soften(model: Any, width: int, height: int) -> None:
     model.vis.quality.shadowsize = min(SHADOW_SIZE, model.vis.quality.shadowsize)
     model.vis.headlight.ambient[:] = 0.35
     model.vis.headlight.diffuse[:] = 0.5
-    model.mat_reflectance[:] = np.minimum(model.mat_reflectance, 0.08)
+    model.mat_reflectance[:] = 0.0
     model.mat_specular[:] = np.minimum(model.mat_specular, 0.3)
     for number in range(model.ntex):
         first = model.tex_adr[number]

@@ -97,9 +97,15 @@ class Scene:
         return camera
 
     def follow(self, camera: Any) -> None:
-        """Move a view of `camera` with the robot, where the task's view does that."""
-        if camera.type == mujoco.mjtCamera.mjCAMERA_FREE and self.shot.follows:
-            camera.lookat[:2] = self._centre()[:2]
+        """Move a view of `camera` with the robot, where the task's view does that, and the sun with it."""
+        if camera.type != mujoco.mjtCamera.mjCAMERA_FREE or not self.shot.follows:
+            return
+        centre = self._centre()[:2]
+        camera.lookat[:2] = centre
+        # A light from afar casts shadows only near its own place.
+        for light in range(self.model.nlight):
+            if self.model.light_type[light] == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
+                self.data.light_xpos[light][:2] = centre
 
     def _free_camera(self) -> Any:
         shot, camera = self.shot, mujoco.MjvCamera()
