@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 
 from common.config.settings import RunSettings
@@ -31,7 +32,6 @@ class DivergenceHandler:
     Args:
         changed: the condition that guards `fleet`; nothing here waits under it.
         logged: records that the log of a resumed run has already.
-        clock_s: seconds that only go up.
     """
 
     def __init__(
@@ -42,8 +42,8 @@ class DivergenceHandler:
         fleet: Fleet,
         changed: threading.Condition,
         on_refused: Callable[[CodecError], None],
-        clock_s: Callable[[], float],
         logged: int = 0,
+        clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._run = run
         self._keys = Keys(run)

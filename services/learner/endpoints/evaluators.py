@@ -7,6 +7,7 @@ curves alone.
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -56,7 +57,7 @@ class EvaluatorHandler:
 
     Args:
         changed: the condition that guards `fleet`; nothing here waits under it.
-        clock_s: seconds that only go up.
+        motions: takes the trajectories.
     """
 
     def __init__(
@@ -67,8 +68,8 @@ class EvaluatorHandler:
         fleet: Fleet,
         changed: threading.Condition,
         on_refused: Callable[[CodecError], None],
-        clock_s: Callable[[], float],
         motions: MotionLog,
+        clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._run = run
         self._keys = Keys(run)

@@ -72,24 +72,14 @@ class Hub:
         self.environments = EnvironmentHandler(
             run, settings, log, self._fleet, self._changed, partial(self._refused, "environment"), logged_environments
         )
-        motions = MotionLog(run, settings, log, (logged_records or {}).get("/motion", 0))
+        counts = logged_records or {}
+        motions = MotionLog(run, settings, log, counts.get("/motion", 0))
         refused = partial(self._refused, "assessment")
-        self.evaluators = EvaluatorHandler(
-            run, settings, log, self._fleet, self._changed, refused, time.monotonic, motions
-        )
+        self.evaluators = EvaluatorHandler(run, settings, log, self._fleet, self._changed, refused, motions)
         refused = partial(self._refused, "evaluation")
         self._final_evaluation = FinalEvaluationHandler(self._keys, self._fleet, motions, self._changed, refused)
-        refused = partial(self._refused, "divergence")
-        self._divergences = DivergenceHandler(
-            run,
-            settings,
-            log,
-            self._fleet,
-            self._changed,
-            refused,
-            time.monotonic,
-            (logged_records or {}).get("/divergence", 0),
-        )
+        refused, logged = partial(self._refused, "divergence"), counts.get("/divergence", 0)
+        self._divergences = DivergenceHandler(run, settings, log, self._fleet, self._changed, refused, logged)
         refused = partial(self._refused, "join")
         self._joins = JoinHandler(
             run, settings, self._fleet, self._monitor, self.evaluators, self._changed, refused, on_event

@@ -41,8 +41,8 @@ class Resumption:
         log_only_reason: the reason why acting is not even tried for the tail; None where it is.
         episodes: `/episode` records up to the restore point that mean returns depend on; `earlier_episodes`: the number
             of episodes before them.
-        logged_environments: (version, slot, generation) of each environment state in the log; `logged_records`: the number
-            of records in it by topic.
+        logged_environments: (version, slot, generation) of the environment states in the log; `logged_records`: the
+            number of records in it by topic.
         set_aside: the `/set_aside` record of a batch that the run goes on without from now on; None for none.
         notes: for a person, line by line.
         chain: digest of the log, from which its writer goes on; `tally`: its totals, None for an empty log.

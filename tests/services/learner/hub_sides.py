@@ -56,7 +56,13 @@ class Learner:
     """A hub at version 0 on a session of its own, and what it wrote and told."""
 
     def __init__(
-        self, session: Session, directory: Path, starts: Any = (), logged_environments: Any = (), **changes: Any
+        self,
+        session: Session,
+        directory: Path,
+        starts: Any = (),
+        logged_environments: Any = (),
+        logged_records: Any = None,
+        **changes: Any,
     ) -> None:
         self.settings = settings(**changes)
         self.directory = directory
@@ -73,6 +79,7 @@ class Learner:
             lambda *event: self.events.put(event),
             starts=starts,
             logged_environments=logged_environments,
+            logged_records=logged_records,
         )
         self.hub.publish(snapshot(0))
         self.hub.open()
