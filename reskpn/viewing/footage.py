@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -10,14 +10,12 @@ from typing import TypeVar
 from common.errors import CodecError, LogReadError, SettingsError
 from common.log.reader import LogReader
 from common.printable import printable
+from common.tasks import slug
 from common.wire.divergence import Divergence
 from common.wire.message import Message
 from common.wire.motion import Motion, Motions
 
 Kind = TypeVar("Kind", bound=Message)
-
-MODEL = "application/xml"
-"""Media type of the task's model among the attachments of a log."""
 
 SHOWN = 12
 """Versions or episodes that a sentence lists before it shortens."""
@@ -56,12 +54,18 @@ class Take:
 
 @dataclass(frozen=True, eq=False)
 class Footage:
-    """The trajectories of one run and the model that they move: `evaluated` by version, and those that `diverged`."""
+    """The trajectories of one run, and the model that they move.
+
+    Attributes:
+        mjcf: the model; `files`: by name, what it may refer to.
+        evaluated: trajectories of evaluations by version; `diverged`: those of diverged simulations.
+    """
 
     path: Path
     run: str
     task: str
     mjcf: str
+    files: Mapping[str, bytes]
     evaluated: Sequence[Take]
     diverged: Sequence[Take]
 
@@ -82,11 +86,12 @@ def read_footage(path: Path) -> Footage:
     if not isinstance(spec, dict) or not isinstance(settings := spec.get("settings"), dict):
         raise LogReadError(f"{path}: the log has no /spec with the settings of its run; give the log of a run")
     task = printable(str(settings.get("task", "")))
-    models = [data for kind, data in reader.attachments().values() if kind == MODEL]
-    if not models:
+    files = {name: content for name, (_, content) in reader.attachments().items()}
+    model = files.get(f"{slug(task)}.xml")
+    if model is None:
         raise LogReadError(f"{path}: the log has no model of {task!r}, so that nothing of it can be shown")
     evaluated, diverged = _takes(reader)
-    return Footage(path, printable(str(spec.get("run", ""))), task, models[0].decode(), evaluated, diverged)
+    return Footage(path, printable(str(spec.get("run", ""))), task, model.decode(), files, evaluated, diverged)
 
 
 def _takes(reader: LogReader) -> tuple[list[Take], list[Take]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 from typing import Any
 
 import mujoco
@@ -56,7 +57,9 @@ class Scene:
 
     def __init__(self, footage: Footage, takes: list[Take]) -> None:
         try:
-            self.model: Any = mujoco.MjModel.from_xml_string(footage.mjcf)
+            # MuJoCo looks for the files of a model by their bare names.
+            files = {PurePosixPath(name).name: data for name, data in footage.files.items()}
+            self.model: Any = mujoco.MjModel.from_xml_string(footage.mjcf, files)
         except ValueError as error:
             raise PhysicsError(f"MuJoCo does not load the model of {footage.task} in the log: {error}") from None
         self.task = footage.task

@@ -47,7 +47,7 @@ class DivergenceHandler:
     ) -> None:
         self._run = run
         self._keys = Keys(run)
-        self._sizes = motion_sizes(settings.task)
+        self._sizes = motion_sizes(settings.sizes)
         self._steps, self._envs = settings.num_steps, settings.envs_per_actor
         self._queue_bytes = settings.transport.queue_bytes
         self._log = log

@@ -10,14 +10,14 @@ from common.config.settings import RunSettings
 from common.errors import CodecError
 from common.log.writer import LogWriter
 from common.physics.state_shapes import state_shapes
-from common.tasks import TASKS
+from common.tasks import Task
 from common.wire.motion import Motions, unpack
 
 
-def motion_sizes(task: str) -> tuple[int, int, int]:
+def motion_sizes(task: Task) -> tuple[int, int, int]:
     """The numbers of joint positions, joint velocities and actions of a task."""
     shapes = state_shapes(task, 1)
-    return shapes["bodies/q"][1][1], shapes["bodies/qd"][1][1], TASKS[task].action_size
+    return shapes["bodies/q"][1][1], shapes["bodies/qd"][1][1], task.action_size
 
 
 class MotionLog:
@@ -30,7 +30,7 @@ class MotionLog:
     def __init__(self, run: str, settings: RunSettings, log: LogWriter, logged: int = 0) -> None:
         self._run = run
         self._evaluation = settings.evaluation
-        self._sizes = motion_sizes(settings.task)
+        self._sizes = motion_sizes(settings.sizes)
         self._log = log
         self._left = self._evaluation.trajectory_records - logged
 

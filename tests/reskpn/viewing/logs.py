@@ -61,9 +61,12 @@ def divergence(steps: int, version: int = 10, env: int = 3) -> bytes:
     ).encode()  # fmt: skip
 
 
-def write_log(directory: Path, *messages: tuple[str, bytes], mjcf: str = MJCF) -> Path:
+def write_log(
+    directory: Path, *messages: tuple[str, bytes], mjcf: str = MJCF, files: dict[str, bytes] | None = None
+) -> Path:
     """A run directory whose log has its settings, the model and these messages."""
     attachments = {"cart.xml": ("application/xml", mjcf.encode())}
+    attachments |= {name: ("application/octet-stream", data) for name, data in (files or {}).items()}
     spec: dict[str, Any] = {"run": RUN, "settings": {"task": "cart"}}
     with LogWriter(directory / "log", attachments=attachments) as log:
         log.write("/spec", spec)
