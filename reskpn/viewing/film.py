@@ -21,7 +21,7 @@ STRIP_GAP = 4
 
 @dataclass(frozen=True)
 class FilmOptions:
-    """How a film is made. `speed`: simulated seconds per second of the film.
+    """The choices of a film; `speed` is simulated seconds per second of the film.
 
     Raises SettingsError for a number out of its range.
     """

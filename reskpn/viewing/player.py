@@ -14,7 +14,7 @@ SLOWEST, FASTEST = 0.05, 4.0
 
 @dataclass(frozen=True)
 class Position:
-    """What is shown at a moment."""
+    """The step that is shown at a moment."""
 
     take: Take
     step: int
@@ -66,7 +66,7 @@ class Player:
                     self._time_s = 0.0
 
     def position(self) -> Position:
-        """What is shown now."""
+        """The step that is shown now."""
         with self._lock:
             take = self._takes[self._at]
             step = min(round(self._time_s / take.step_s), take.motion.steps - 1)
