@@ -10,6 +10,7 @@
     │   ├── LogWriteError  the log cannot be written: disk full, no permission (exit code 5)
     │   └── LogReadError   a log that is missing, foreign or damaged (exit code 5)
     ├── CheckpointError    a checkpoint that is missing, damaged or of another run (exit code 5)
+    ├── PolicyFileError    a file that is no exported policy, or an observation that does not fit it (exit code 5)
     ├── PhysicsError       an engine that is missing, or a simulation that failed (exit code 6)
     ├── NumericsError      a quantity of the update is not finite (exit code 7)
     └── ProcessError       a process of the run ended although it should not (exit code 8)
@@ -70,6 +71,10 @@ class LogReadError(LogError):
 
 
 class CheckpointError(ReskpnError):
+    exit_code = 5
+
+
+class PolicyFileError(ReskpnError):
     exit_code = 5
 
 

@@ -28,7 +28,7 @@ def to_arrays(tree: Any) -> dict[str, np.ndarray]:
     return {_path(keys): np.asarray(leaf) for keys, leaf in leaves}
 
 
-def from_arrays(template: Tree, arrays: Mapping[str, np.ndarray]) -> Tree:
+def from_arrays(template: Tree, arrays: Mapping[str, np.ndarray | jax.Array]) -> Tree:
     """The tree of `template`'s structure with the arrays as leaves.
 
     Raises:

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import io
-import logging
 import warnings
 from typing import Any
 
-import mujoco
+from common.physics.mujoco_log import log_instead_of_printing
 
 _ANNOUNCEMENTS = ("Brax System, piplines and environments are not", "JAXopt is no longer maintained")
-_LOG = logging.getLogger("mujoco")
 
 
 @contextlib.contextmanager
@@ -25,16 +23,6 @@ def without_announcements() -> Any:
         for announcement in _ANNOUNCEMENTS:
             warnings.filterwarnings("ignore", message=announcement)
         yield
-
-
-def log_instead_of_printing() -> None:
-    """Send MuJoCo's warnings to the logger "mujoco" at level DEBUG, unless the program has its own handler.
-
-    By default they go to stderr and to a file MUJOCO_LOG.TXT in the current folder. Diverged simulations are reported
-    by `EnvState.diverged`.
-    """
-    if mujoco.get_mju_user_warning() is None:
-        mujoco.set_mju_user_warning(_LOG.debug)
 
 
 # mujoco.mjx prints that its optional Warp engine is not installed.

@@ -10,14 +10,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from common.config.settings import RunSettings
 from common.engine_names import PHYSICS
 from common.errors import SettingsError
 from common.printable import printable
-from common.wire.assessment import MAX_EPISODES
 from reskpn.commands.command import EXIT_CODES, Command
 
 if TYPE_CHECKING:
+    from common.config.settings import RunSettings
     from services.replay.policies import RecordedPolicy
     from services.worker.deterministic import Episodes
 
@@ -120,6 +119,8 @@ def _played_settings(recorded: RunSettings, given: argparse.Namespace) -> RunSet
 
 def _check(given: argparse.Namespace) -> None:
     """SettingsError for a number outside its range."""
+    from common.wire.assessment import MAX_EPISODES
+
     for name, value, low, high in (
         ("--episodes", given.episodes, 1, MAX_EPISODES),
         ("--threads", given.threads, 0, None),

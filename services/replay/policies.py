@@ -10,6 +10,7 @@ import numpy as np
 from common.errors import SettingsError
 from common.runs.read_ahead import read_ahead
 from common.runs.recorded_run import RecordedRun
+from common.wire.messages import Snapshot
 from services.learner.training.trainer import Trainer
 from services.replay.beginning import describe_removed, read_beginning
 
@@ -52,6 +53,14 @@ def recorded_policy(
         if snapshot.version == wanted:
             return RecordedPolicy(wanted, snapshot.arrays)
     return _recomputed(run, wanted, make_trainer(), on_update)
+
+
+def newest_held_policy(run: RecordedRun) -> RecordedPolicy | None:
+    """The newest policy that the log holds; None if it holds none. LogReadError as `recorded_policy`."""
+    newest: Snapshot | None = None
+    for snapshot in run.policies():
+        newest = snapshot
+    return None if newest is None else RecordedPolicy(newest.version, newest.arrays)
 
 
 def _recomputed(run: RecordedRun, version: int, trainer: Trainer, on_update: Callable[[int], None]) -> RecordedPolicy:

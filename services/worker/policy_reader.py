@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 
 import jax
@@ -52,7 +53,7 @@ class PolicyReader:
         """The run's initial policy, which has the shapes and dtypes of all its policies."""
         return self._template
 
-    def read(self, arrays: dict[str, np.ndarray]) -> Policy:
+    def read(self, arrays: Mapping[str, np.ndarray | Array]) -> Policy:
         """The policy of a snapshot. Raises CodecError if its arrays do not fit the run's settings."""
         return jax.device_put(from_arrays(self._template, arrays))
 

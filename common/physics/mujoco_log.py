@@ -1,0 +1,19 @@
+"""MuJoCo's own warnings, sent where a program wants them."""
+
+from __future__ import annotations
+
+import logging
+
+import mujoco
+
+_LOG = logging.getLogger("mujoco")
+
+
+def log_instead_of_printing() -> None:
+    """Send MuJoCo's warnings to the logger "mujoco" at level DEBUG, unless the program has its own handler.
+
+    By default they go to stderr and to a file MUJOCO_LOG.TXT in the current folder. Diverged simulations are reported
+    by `EnvState.diverged`.
+    """
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(_LOG.debug)
