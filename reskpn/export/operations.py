@@ -18,9 +18,11 @@ TRANSLATIONS: dict[str, Translation] = {}
 """By the name of the operation."""
 
 
-def translates(*names: str) -> Callable[[Translation], Translation]:
+def translates(table: dict[str, Translation], *names: str) -> Callable[[Translation], Translation]:
+    """Enter a translation into a table, under the operations' names."""
+
     def register(translation: Translation) -> Translation:
-        TRANSLATIONS.update(dict.fromkeys(names, translation))
+        table.update(dict.fromkeys(names, translation))
         return translation
 
     return register
@@ -93,20 +95,20 @@ TRANSLATIONS |= {
 }  # fmt: skip
 
 
-@translates("is_finite")
+@translates(TRANSLATIONS, "is_finite")
 def _is_finite(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     name = graph.name(operands[0])
     lost = graph.add("Or", graph.add("IsInf", name), graph.add("IsNaN", name))
     return result_of(equation, graph.add("Not", lost), stored_shape(operands[0]))
 
 
-@translates("ne")
+@translates(TRANSLATIONS, "ne")
 def _not_equal(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     name = graph.add("Not", graph.add("Equal", *map(graph.name, operands)))
     return result_of(equation, name, broadcast([stored_shape(operand) for operand in operands]))
 
 
-@translates("and", "or", "xor", "not")
+@translates(TRANSLATIONS, "and", "or", "xor", "not")
 def _logical(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     """Of truth values, or of the bits of integers, which ONNX keeps apart."""
     kind = equation.primitive.name.capitalize()
@@ -115,25 +117,25 @@ def _logical(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     return result_of(equation, name, broadcast([stored_shape(operand) for operand in operands]))
 
 
-@translates("square")
+@translates(TRANSLATIONS, "square")
 def _square(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     name = graph.name(operands[0])
     return result_of(equation, graph.add("Mul", name, name), stored_shape(operands[0]))
 
 
-@translates("integer_pow")
+@translates(TRANSLATIONS, "integer_pow")
 def _integer_pow(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     exponent = graph.constant(np.array(equation.params["y"], np.float32))
     return result_of(equation, graph.add("Pow", graph.name(operands[0]), exponent), stored_shape(operands[0]))
 
 
-@translates("log1p")
+@translates(TRANSLATIONS, "log1p")
 def _log1p(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     shifted = graph.add("Add", graph.name(operands[0]), graph.constant(np.array(1.0, np.float32)))
     return result_of(equation, graph.add("Log", shifted), stored_shape(operands[0]))
 
 
-@translates("convert_element_type")
+@translates(TRANSLATIONS, "convert_element_type")
 def _cast(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     wanted = np.dtype(equation.params["new_dtype"])
     if wanted not in ELEMENT_TYPES:
@@ -143,7 +145,7 @@ def _cast(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     )
 
 
-@translates("select_n")
+@translates(TRANSLATIONS, "select_n")
 def _select(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     which, *cases = operands
     if len(cases) != 2 or np.dtype(equation.invars[0].aval.dtype) != np.bool_:
@@ -152,14 +154,14 @@ def _select(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     return result_of(equation, name, broadcast([stored_shape(operand) for operand in operands]))
 
 
-@translates("clamp")
+@translates(TRANSLATIONS, "clamp")
 def _clamp(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     low, value, high = map(graph.name, operands)
     name = graph.add("Min", graph.add("Max", value, low), high)
     return result_of(equation, name, broadcast([stored_shape(operand) for operand in operands]))
 
 
-@translates("broadcast_in_dim")
+@translates(TRANSLATIONS, "broadcast_in_dim")
 def _broadcast_in_dim(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     """Axes of size 1 are inserted; that they are longer matters only to operations that do not broadcast."""
     places = equation.params["broadcast_dimensions"]
@@ -172,31 +174,31 @@ def _broadcast_in_dim(graph: Graph, equation: Any, operands: list[Operand]) -> V
     return result_of(equation, name, tuple(stored))
 
 
-@translates("reshape", "squeeze", "expand_dims")
+@translates(TRANSLATIONS, "reshape", "squeeze", "expand_dims")
 def _reshape(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     return result_of(equation, graph.reshape(graph.full(operands[0]), tuple(equation.outvars[0].aval.shape)))
 
 
-@translates("transpose")
+@translates(TRANSLATIONS, "transpose")
 def _transpose(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     order = equation.params["permutation"]
     stored = tuple(stored_shape(operands[0])[axis] for axis in order)
     return result_of(equation, graph.add("Transpose", graph.name(operands[0]), perm=order), stored)
 
 
-@translates("tile")
+@translates(TRANSLATIONS, "tile")
 def _tile(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     repeats = graph.constant(np.array(equation.params["reps"], np.int64))
     return result_of(equation, graph.add("Tile", graph.full(operands[0]), repeats))
 
 
-@translates("concatenate")
+@translates(TRANSLATIONS, "concatenate")
 def _concatenate(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     name = graph.add("Concat", *map(graph.full, operands), axis=equation.params["dimension"])
     return result_of(equation, name)
 
 
-@translates("stack")
+@translates(TRANSLATIONS, "stack")
 def _stack(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     axis = equation.params["axis"]
     where = graph.constant(np.array([axis], np.int64))
@@ -204,7 +206,7 @@ def _stack(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     return result_of(equation, graph.add("Concat", *layers, axis=axis))
 
 
-@translates("reduce_sum", "reduce_max", "reduce_min", "reduce_prod", "reduce_and", "reduce_or")
+@translates(TRANSLATIONS, "reduce_sum", "reduce_max", "reduce_min", "reduce_prod", "reduce_and", "reduce_or")
 def _reduce(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     kind = equation.primitive.name.removeprefix("reduce_")
     axes = graph.constant(np.array(equation.params["axes"], np.int64))
@@ -216,7 +218,7 @@ def _reduce(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     return result_of(equation, graph.add(f"Reduce{kind.capitalize()}", name, axes, keepdims=0))
 
 
-@translates("dot_general")
+@translates(TRANSLATIONS, "dot_general")
 def _dot_general(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     """A product over any axes: each side becomes [batch axes, rows, inner] or [batch axes, inner, columns]."""
     contracted, batched = equation.params["dimension_numbers"]

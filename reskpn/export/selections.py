@@ -9,10 +9,13 @@ import numpy as np
 from jax import lax
 
 from reskpn.export.graph import Graph, NotTranslatable, Operand, Value
-from reskpn.export.operations import result_of, translates
+from reskpn.export.operations import Translation, result_of, translates
+
+SELECTIONS: dict[str, Translation] = {}
+"""By the name of the operation."""
 
 
-@translates("slice")
+@translates(SELECTIONS, "slice")
 def _slice(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     shape, starts = equation.invars[0].aval.shape, equation.params["start_indices"]
     limits, strides = equation.params["limit_indices"], equation.params["strides"] or (1,) * len(starts)
@@ -29,7 +32,7 @@ def _slice(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     return result_of(equation, graph.add("Slice", graph.full(operands[0]), bounds[0], bounds[1], axes, bounds[2]))
 
 
-@translates("gather", "dynamic_slice", "rev")
+@translates(SELECTIONS, "gather", "dynamic_slice", "rev")
 def _gather(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     """A selection of elements. Where it is not along one axis, the operation itself, applied to the numbers of the
     elements, says which it takes."""
@@ -65,7 +68,7 @@ def _axis_of_gather(equation: Any) -> int | None:
     return axis if whole and in_place and not numbers.operand_batching_dims else None
 
 
-@translates("scatter", "scatter-add")
+@translates(SELECTIONS, "scatter", "scatter-add")
 def _scatter(graph: Graph, equation: Any, operands: list[Operand]) -> Value:
     """Elements replaced, or added to, at places that are known: a selection from the old and the new ones."""
     whole, where, new = operands

@@ -14,6 +14,9 @@ from onnx import helper
 
 from reskpn.export.graph import BATCH, ELEMENT_TYPES, IR_VERSION, OPSET, Graph, NotTranslatable, Operand, Shape, Value
 from reskpn.export.operations import TRANSLATIONS
+from reskpn.export.selections import SELECTIONS
+
+_TABLE = TRANSLATIONS | SELECTIONS
 
 _INLINED = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint"}
 """Operations that are a traced function of their own."""
@@ -34,7 +37,7 @@ def to_onnx(
         inputs: by name; one symbolic size, of one axis, stays free.
 
     Raises:
-        NotTranslatable: the function has an operation that is not in `TRANSLATIONS`.
+        NotTranslatable: the function has an operation that is in neither table.
     """
     closed = jax.make_jaxpr(lambda *given: tuple(function(*given)))(*inputs.values())
     # Most of what a task's step computes is not asked for here.
@@ -110,6 +113,6 @@ def _outputs(graph: Graph, equation: Any, operands: list[Operand]) -> list[Opera
     if not any(isinstance(operand, Value) for operand in operands) and all(isinstance(size, int) for size in sizes):
         found = equation.primitive.bind(*operands, **equation.params)
         return [np.asarray(array) for array in (found if equation.primitive.multiple_results else [found])]
-    if name not in TRANSLATIONS:
+    if name not in _TABLE:
         raise NotTranslatable(f"the operation {name}")
-    return [TRANSLATIONS[name](graph, equation, operands)]
+    return [_TABLE[name](graph, equation, operands)]

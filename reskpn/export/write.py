@@ -68,10 +68,13 @@ def _write(
 ) -> str | None:
     size = known["observation"]["size"]
     if format == "jax":
+        not_playable = "`reskpn play` plays ONNX files"
         with create(path) as file:
+            known = known | {"not_playable": not_playable}
             write_stablehlo(file, policy.function_of_arrays(), policy.arrays, size, known)
-        return "`reskpn play` plays ONNX files"
-    simulation, not_playable = None, None
+        return not_playable
+    simulation: dict[str, Any] | None = None
+    not_playable = None
     try:
         simulation = packed_simulation(functions, policy.settings)
     except NotTranslatable as error:
