@@ -12,7 +12,7 @@ RUN python3 -m venv tools && python3 -m venv --without-pip /opt/venv
 COPY requirements requirements
 RUN tools/bin/pip --python /opt/venv/bin/python install --require-hashes -r requirements/${REQUIREMENTS}.txt
 RUN tools/bin/pip install --require-hashes -r requirements/build.txt
-COPY pyproject.toml README.md ./
+COPY pyproject.toml setup.py README.md ./
 COPY common common
 COPY services services
 COPY reskpn reskpn

@@ -15,7 +15,7 @@ INVERTED_PENDULUM := --num-envs 1024 --num-steps 20 --total-steps 1.5e6
 CHAOS_POINTS ?= 20
 CHAOS_SEED ?=
 
-.PHONY: help setup train test test-runs test-docs test-chaos test-docker test-hosts lint bench paper-smoke lock clean
+.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts lint bench paper-smoke lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -44,6 +44,9 @@ test-docker: setup  ## docker-compose.yml for real: build, run, kill, scale; say
 
 test-hosts: setup  ## learner, actors, a viewer and an outsider on hosts of their own (network namespaces; needs root)
 	@$(BIN)/python -m pytest tests/hosts -p no:randomly -rA --tb=short --timeout 400
+
+test-install: setup  ## the wheel in an empty environment: train, export and play beside a user's own `common` and `services`
+	@$(BIN)/python -m pytest tests/install -p no:randomly --tb=short --timeout 400
 
 test-chaos: setup  ## kill -9 at random and at the worst moments, hostile messages, slow and full disks; CHAOS_POINTS=20, CHAOS_SEED=n to repeat
 	@CHAOS_POINTS=$(CHAOS_POINTS) $(if $(CHAOS_SEED),CHAOS_SEED=$(CHAOS_SEED)) \

@@ -5,7 +5,8 @@ With them and the model, a program simulates the task without this package's eng
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import jax
@@ -13,12 +14,38 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from common.physics.bodies import Bodies, bodies_from
-from common.physics.libraries import envs
+from common.physics.bodies import Scales, bodies_from
+from common.physics.lookup import load_definition
 from common.physics.models import c_model, load_task
+from common.physics.runners import BraxRunner, Runner, TaskRunner
+from common.physics.simulation import ReadingLayout
+from common.tasks import TASKS
 
 Fields = Mapping[str, Any]
 """Fields of MuJoCo's data by name, float32."""
+
+KEPT = ("qpos", "qvel", "qacc_warmstart")
+
+
+class _GivenStates:
+    """An engine that computes nothing: it returns the states that it is given, and keeps the commands."""
+
+    name = "given"
+
+    def __init__(self, make_first: Callable[[Any, Any], Any], after: Any = None) -> None:
+        self._make_first = make_first
+        self._after = after
+        self.ctrl: Any = None
+
+    def reset(self, q: jax.Array, qd: jax.Array, scales: Scales) -> Any:
+        return self._make_first(q, qd)
+
+    def step(self, state: Any, ctrl: jax.Array) -> Any:
+        self.ctrl = ctrl
+        return state if self._after is None else self._after
+
+    def seconds(self) -> None:
+        return None
 
 
 class StepFunctions:
@@ -29,53 +56,65 @@ class StepFunctions:
     step_s: simulated seconds of one environment step.
     action_size: A.
     kept: fields that are loaded before a step, beside `ctrl`; all others start from the model's defaults.
-    read: the fields that the functions read, after a step or, in a first state, after `mj_forward`.
+    read: the fields that the functions read, after a step or, in a first state, after `mj_forward`, with their shapes.
     """
 
-    kept = ("qpos", "qvel", "qacc_warmstart")
+    model: mujoco.MjModel
+    _make: Callable[[_GivenStates], Runner]
+    _state: Callable[[Fields], Any]
 
     def __init__(self, name: str) -> None:
-        """`name`: of the task. SettingsError for a name that is none."""
-        self._task = load_task(name)
-        self.model: mujoco.MjModel = c_model(self._task)
-        self.substeps = int(self._task._n_frames)
-        self.step_s = float(self._task.dt)
-        self.action_size = int(self._task.action_size)
-        self.mujoco_version: str = mujoco.__version__
+        """`name`: of the task. SettingsError for a name that is none, or one that may not be imported."""
+        if name in TASKS:
+            environment = load_task(name)
+            self.model, self.substeps = c_model(environment), int(environment._n_frames)
+            self._make = partial(BraxRunner, environment)
+            self.kept: tuple[str, ...] = KEPT
+            names: tuple[str, ...] = ("qpos", "qvel", "xpos", "xquat", "cvel", "subtree_com")
+            self._state = self._bodies
+        else:
+            task = load_definition(name)
+            self.model, self.substeps = task.model, task.frame_skip
+            layout = ReadingLayout(task.model, task.reads)
+            self._make = partial(TaskRunner, task)
+            self.kept = (*KEPT, *layout.carried)
+            names = tuple(dict.fromkeys((*self.kept, *task.reads)))
+            self._state = lambda fields: layout.state([fields[name] for name in names], {})
         data = mujoco.MjData(self.model)
-        names = ("qpos", "qvel", "xpos", "xquat", "cvel", "subtree_com")
-        self.read = {name: np.shape(getattr(data, name)) for name in names}
+        self.read: dict[str, tuple[int, ...]] = {name: np.shape(getattr(data, name)) for name in names}
+        runner = self._run(_GivenStates(lambda q, qd: None))
+        self.step_s, self.action_size = runner.step_s, runner.action_size
+        self.mujoco_version: str = mujoco.__version__
 
     def command(self, before: Fields, action: jax.Array) -> jax.Array:
         """The actuators' commands [nu] for an action [A]."""
-        found: list[jax.Array] = []
-
-        def engine_step(bodies: Bodies, ctrl: jax.Array) -> Bodies:
-            found.append(ctrl)
-            return bodies
-
-        self._task.pipeline_step = engine_step
-        self._step(before, action)
-        return found[0]
+        engine = _GivenStates(lambda q, qd: None)
+        self._run(engine).step(self._state(before), action)
+        ctrl: jax.Array = engine.ctrl
+        return ctrl
 
     def outcome(self, before: Fields, action: jax.Array, after: Fields) -> tuple[jax.Array, jax.Array, jax.Array]:
         """The observation [O], the reward [] and the termination [] of a step."""
-        self._task.pipeline_step = lambda bodies, ctrl: self._bodies(after)
-        state = self._step(before, action)
-        return state.obs, jnp.asarray(state.reward, jnp.float32), jnp.asarray(state.done > 0)
+        engine = _GivenStates(lambda q, qd: None, self._state(after))
+        _, obs, reward, terminated = self._run(engine).step(self._state(before), action)
+        return obs, reward, jnp.asarray(terminated)
 
     def first_observation(self, fields: Fields) -> jax.Array:
         """The observation [O] of a first state."""
-        self._task.pipeline_init = lambda q, qd, act=None, ctrl=None: self._bodies(fields)
-        obs: jax.Array = self._task.reset(jax.random.key(0)).obs
+        _, obs = self._run(_GivenStates(lambda q, qd: self._state(fields))).reset(jax.random.key(0), {})
         return obs
 
     def first_states(self, key: jax.Array, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Joint positions [count, nq] and velocities [count, nv] of first states, drawn as environments do."""
         zeros: dict[str, Any] = {name: np.zeros(shape, np.float32) for name, shape in self.read.items()}
-        self._task.pipeline_init = lambda q, qd, act=None, ctrl=None: self._bodies({**zeros, "qpos": q, "qvel": qd})
-        first = jax.jit(jax.vmap(self._task.reset))(jax.random.split(key, count)).pipeline_state
-        return np.asarray(first.q, np.float32), np.asarray(first.qd, np.float32)
+
+        def first(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+            engine = _GivenStates(lambda q, qd: self._state({**zeros, "qpos": q, "qvel": qd}))
+            state, _ = self._run(engine).reset(key, {})
+            return state.q, state.qd
+
+        qpos, qvel = jax.jit(jax.vmap(first))(jax.random.split(key, count))
+        return np.asarray(qpos, np.float32), np.asarray(qvel, np.float32)
 
     def observation_layout(self) -> list[str]:
         """For each number of an observation the number of MuJoCo's data that it is; "computed" where it is none.
@@ -120,15 +159,14 @@ class StepFunctions:
         name = model.joint(joint).name or str(joint)
         return name if width == 1 else f"{name} {place[0] - starts[joint]}"
 
-    def _step(self, before: Fields, action: jax.Array) -> Any:
-        zero = np.zeros((), np.float32)
-        state = envs.State(pipeline_state=self._bodies(before), obs=zero, reward=zero, done=zero, metrics={}, info={})
-        return self._task.step(state, action)
+    def _run(self, engine: _GivenStates) -> Runner:
+        with jax.ensure_compile_time_eval():  # a runner reads the time step, a number, from an array
+            return self._make(engine)
 
-    def _bodies(self, fields: Fields) -> Bodies:
+    def _bodies(self, fields: Fields) -> Any:
+        """The state of brax's tasks."""
         xpos = fields["xpos"][1:]
         lever = xpos - fields["subtree_com"][self.model.body_rootid[1:]]
-        warmstart = jnp.zeros(self.model.nv)
-        return bodies_from(
-            fields["qpos"], fields["qvel"], xpos, fields["xquat"][1:], fields["cvel"][1:], lever, warmstart
-        )
+        solved = jnp.zeros(self.model.nv)
+        q, qd, rotations, velocities = fields["qpos"], fields["qvel"], fields["xquat"][1:], fields["cvel"][1:]
+        return bodies_from(q, qd, xpos, rotations, velocities, lever, solved, {})

@@ -14,6 +14,7 @@ from common.engine_names import PHYSICS
 from common.errors import SettingsError
 from common.printable import printable
 from reskpn.commands.command import EXIT_CODES, Command
+from reskpn.commands.task_option import add_task, confirm_task
 
 if TYPE_CHECKING:
     from common.config.settings import RunSettings
@@ -32,6 +33,7 @@ same ones.
 def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("path", type=Path, metavar="RUN", help="directory of a run, or its log directory")
+    add_task(parser)
     add("--version", type=int, metavar="V", help="version of the policy; 0: before training (default: the newest)")
     add("--episodes", type=int, default=16, metavar="N", help="number of episodes (default: %(default)s)")
     add("--seed", type=int, metavar="N", help="seed of the initial states (default: the run's own)")
@@ -53,6 +55,7 @@ def run(given: argparse.Namespace) -> int:
     from services.worker.policy_reader import PolicyReader
 
     recorded = open_run(given.path)
+    confirm_task(recorded.settings, given.task)
     enable_compilation_cache()
     require_synchronous_dispatch()
     with ExitStack() as stack:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from common.errors import SettingsError
 from common.printable import printable
 from reskpn.commands.command import EXIT_CODES, Command
+from reskpn.commands.task_option import add_task, confirm_task
 
 if TYPE_CHECKING:
     from reskpn.export.policy import TrainedPolicy
@@ -32,6 +33,7 @@ on observations of the run's log. The run may be finished, running or killed.
 def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("path", type=Path, metavar="RUN", help="directory of a run, or its log directory")
+    add_task(parser)
     add(
         "--version",
         type=int,
@@ -53,6 +55,7 @@ def run(given: argparse.Namespace) -> int:
     from reskpn.export.write import write_policy
 
     recorded = open_run(given.path)
+    confirm_task(recorded.settings, given.task)
     enable_compilation_cache()
     with ExitStack() as stack:
         bar = progress_bar()
@@ -71,10 +74,10 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _default(policy: TrainedPolicy, given: argparse.Namespace) -> Path:
+    from common.tasks import slug
     from reskpn.export.write import SUFFIXES
 
-    name = policy.settings.task.replace(":", "-").replace("/", "-")
-    return Path(f"{name}-{policy.settings.learner}-v{policy.version}{SUFFIXES[given.format]}")
+    return Path(f"{slug(policy.settings.task)}-{policy.settings.learner}-v{policy.version}{SUFFIXES[given.format]}")
 
 
 def _lines(policy: TrainedPolicy, written: Written) -> list[str]:

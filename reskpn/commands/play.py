@@ -29,17 +29,10 @@ last) is recomputed from the log, which takes as long as the learner took for it
 {EXIT_CODES}"""
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    evaluate.add_options(parser)
-    parser.add_argument(
-        "--task", metavar="NAME", help="task that the policy must be of; an exported policy of another one is refused"
-    )
-
-
 def run(given: argparse.Namespace) -> int:
     """Play the episodes and print their returns. Returns 0."""
     if given.path.suffix != ".onnx" and not given.path.is_file():
-        return _play_run(given)
+        return evaluate.run(given)
     _check(given)
     from reskpn.playing import first_states, play
     from reskpn.policy_file import load
@@ -55,17 +48,6 @@ def run(given: argparse.Namespace) -> int:
     took_s = time.monotonic() - began_s
     _print(policy, returns, lengths, given, took_s)
     return 0
-
-
-def _play_run(given: argparse.Namespace) -> int:
-    """Play a version of a recorded run, which must be of the task that was given."""
-    if given.task is not None:
-        from common.runs.recorded_run import open_run
-
-        recorded = open_run(given.path)
-        if recorded.settings.task != given.task:
-            raise SettingsError(f"{given.path} is a run of task {recorded.settings.task}, not of {given.task}")
-    return evaluate.run(given)
 
 
 def _check(given: argparse.Namespace) -> None:
@@ -97,4 +79,4 @@ def _print(policy: Policy, returns: np.ndarray, lengths: np.ndarray, given: argp
     )
 
 
-COMMAND = Command(add_options, run, EPILOG, usage="reskpn play POLICY.onnx|RUN [options]")
+COMMAND = Command(evaluate.add_options, run, EPILOG, usage="reskpn play POLICY.onnx|RUN [options]")

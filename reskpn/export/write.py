@@ -66,24 +66,23 @@ def write_policy(policy: TrainedPolicy, observations: np.ndarray, format: Format
 def _write(
     path: Path, policy: TrainedPolicy, format: Format, functions: StepFunctions, known: dict[str, Any]
 ) -> str | None:
+    """Write the file; returns the reason why it cannot be played, or None."""
     size = known["observation"]["size"]
+    not_playable, metadata = None, {}
     if format == "jax":
         not_playable = "`reskpn play` plays ONNX files"
-        with create(path) as file:
-            known = known | {"not_playable": not_playable}
-            write_stablehlo(file, policy.function_of_arrays(), policy.arrays, size, known)
-        return not_playable
-    simulation: dict[str, Any] | None = None
-    not_playable = None
-    try:
-        simulation = packed_simulation(functions, policy.settings)
-    except NotTranslatable as error:
-        not_playable = f"task {policy.settings.task} uses what ONNX cannot express: {error}"
-    metadata = {KEY: json.dumps(known | ({"not_playable": not_playable} if not_playable else {}))}
-    if simulation is not None:
-        metadata[SIMULATION] = pack(simulation)
+    else:
+        try:
+            metadata[SIMULATION] = pack(packed_simulation(functions, policy.settings))
+        except NotTranslatable as error:
+            not_playable = f"task {policy.settings.task} uses what ONNX cannot express: {error}"
+    if not_playable is not None:
+        known = known | {"not_playable": not_playable}
     with create(path) as file:
-        file.write(onnx_bytes(policy.function(), size, metadata))
+        if format == "jax":
+            write_stablehlo(file, policy.function_of_arrays(), policy.arrays, size, known)
+        else:
+            file.write(onnx_bytes(policy.function(), size, metadata | {KEY: json.dumps(known)}))
     return not_playable
 
 

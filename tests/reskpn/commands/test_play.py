@@ -78,7 +78,7 @@ def test_what_is_not_possible(exported: Path, capsys: Output, words: list[str], 
 def test_a_run_of_another_task(run_dir: Path, capsys: Output) -> None:
     """It is refused before anything is played."""
     assert play(run_dir, "--task", "hopper") == 2
-    assert f"{run_dir} is a run of task inverted_pendulum, not of hopper" in capsys.readouterr().err
+    assert "--task hopper: the run is of task inverted_pendulum" in capsys.readouterr().err
 
 
 def test_nothing_there(tmp_path: Path, capsys: Output) -> None:
