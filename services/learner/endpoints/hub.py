@@ -130,9 +130,8 @@ class Hub:
             overtaken = self._fleet.begin(
                 snapshot.version, collect=collect, hand_in=hand_in, logged=logged, settled=settled
             )
-            for rollout in overtaken:
-                text = f"made with policy {rollout.policy_version}, overtaken by those of version {snapshot.version}"
-                self._monitor.refused("rollout", "overtaken", text, time.monotonic())
+            self._monitor.overtaken(overtaken, snapshot.version, time.monotonic())
+            self._rollouts.published(snapshot)
             self.environments.forget()
             self._monitor.published(snapshot.version, time.monotonic())
         self.announce()

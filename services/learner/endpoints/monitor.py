@@ -7,12 +7,14 @@ the number of messages: reasons and kinds are words of this program, slots are t
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from common.config.settings import RunSettings
 from common.printable import printable, shortened
 from common.wire.messages import PushReply
 from common.wire.report import LONGEST, ActorReport, Progress, RefusalReport, RunReport, Totals, VacancyReport
+from common.wire.rollout import Rollout
 from services.learner.scheduling.fleet import Fleet, Member
 
 KEPT_VERSIONS = 256
@@ -87,6 +89,12 @@ class RunMonitor:
         """Count a message that was not used; `kind` and `reason` are words of this program, never the sender's."""
         self._refused.setdefault(kind, Counter())[reason] += 1
         self._last = _Refusal(kind, reason, printable(text, 300), now_s)
+
+    def overtaken(self, rollouts: Collection[Rollout], version: int, now_s: float) -> None:
+        """Count rollouts that were accepted and are too old to be used by the update of `version`."""
+        for rollout in rollouts:
+            text = f"made with policy {rollout.policy_version}, overtaken by those of version {version}"
+            self.refused("rollout", "overtaken", text, now_s)
 
     def connection_refused(self, reason: str, text: str, now_s: float) -> bool:
         """Count a refused connection; returns whether it is the first with this reason."""

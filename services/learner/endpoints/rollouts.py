@@ -15,9 +15,10 @@ from common.log.writer import LogWriter
 from common.runs.rollout_shape import rollout_shape
 from common.wire.codec import Limits
 from common.wire.keys import Keys
-from common.wire.messages import ACCEPTED, PushReply
+from common.wire.messages import ACCEPTED, PushReply, Snapshot
 from common.wire.rollout import Rollout
 from common.wire.session import Request
+from services.learner.endpoints.log_probs import LogProbabilityCheck, check_log_probs
 from services.learner.endpoints.monitor import RunMonitor
 from services.learner.endpoints.replies import LOG_FAILED, QUEUE_FULL
 from services.learner.scheduling.failing_policy import FailingPolicy
@@ -50,6 +51,11 @@ class RolloutHandler:
         self._monitor = monitor
         self._changed = changed
         self._failing = FailingPolicy()
+        self._log_probs = LogProbabilityCheck()
+
+    def published(self, snapshot: Snapshot) -> None:
+        """Note a policy that rollouts may be made with from now on. Under the condition, as `policy_problem`."""
+        self._log_probs.published(snapshot.version, snapshot.arrays)
 
     def policy_problem(self) -> str | None:
         """As `FailingPolicy.problem`, under the condition."""
@@ -72,6 +78,9 @@ class RolloutHandler:
         try:
             rollout.check(self._shape)
             rollout.check_magnitudes()
+            with self._changed:
+                log_std = self._log_probs.log_std(rollout.policy_version)
+            check_log_probs(rollout, log_std)
             if request.key != self._keys.rollout(rollout.slot):
                 raise CodecError("bad_key", f"a rollout of slot {rollout.slot} was pushed on {request.key}")
         except CodecError as error:
