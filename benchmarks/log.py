@@ -23,6 +23,7 @@ import numpy as np
 
 from benchmarks.machine import describe, machine
 from common.errors import ReskpnError
+from common.log.chain import Chain
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
 from common.memory import keep_large_blocks
@@ -34,6 +35,8 @@ GOAL_READING = 1.0
 """GB/s."""
 
 MB = 1_000_000
+CHAINED_MB = 200.0
+"""Of messages, in each round of the chain's measurement."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +50,16 @@ class Load:
 
 @dataclass(frozen=True)
 class Figures:
-    """Medians over the rounds, and every round: cores used, busy share of the log's thread, and GB/s of reading."""
+    """Medians over the rounds, and every round: cores used, busy share of the log's thread, and GB/s of reading.
+
+    `chain_us_per_mb`: processor time of the chain over messages of that size, which the log above was written without.
+    """
 
     share: float
     shares: list[float]
     at_work: float
     reading_gb_s: float
+    chain_us_per_mb: float
 
 
 def paced(load: Load, write: Callable[[bytes], None]) -> tuple[float, float]:
@@ -86,19 +93,32 @@ def one_round(load: Load, folder: Path) -> tuple[float, float, float]:
     return cpu_s / logged_s - idle_cpu_s / wall_s, at_work, reading
 
 
+def chain_cost(load: Load) -> float:
+    """Processor time in microseconds by which the chain follows a megabyte of messages."""
+    data, chain = np.random.default_rng(0).bytes(round(load.message * MB)), Chain()
+    count = max(1, round(CHAINED_MB / load.message))
+    began_cpu_s = time.process_time()
+    for number in range(count):
+        chain.add("/rollout", number, data)
+    return (time.process_time() - began_cpu_s) * 1e6 / (count * load.message)
+
+
 def measure(load: Load, rounds: int, folder: Path) -> Figures:
     """Measure over `rounds` rounds."""
     found = [one_round(load, folder) for _ in range(rounds)]
     shares, at_work, reading = (list(values) for values in zip(*found, strict=True))
-    return Figures(statistics.median(shares), shares, statistics.median(at_work), statistics.median(reading))
+    chained = statistics.median(chain_cost(load) for _ in range(rounds))
+    return Figures(statistics.median(shares), shares, statistics.median(at_work), statistics.median(reading), chained)
 
 
-def table(figures: Figures) -> Iterator[str]:
+def table(figures: Figures, load: Load) -> Iterator[str]:
     """Readable lines with the results."""
     yield f"{'':34}{'measured':>12}{'goal':>8}"
     yield f"{'cores used by the log':34}{figures.share:>12.4f}{GOAL_SHARE:>8.2f}"
     yield f"{'  round by round':34}  {' '.join(f'{share:.4f}' for share in figures.shares)}"
     yield f"{'busy share of its thread':36}{figures.at_work:>10.4f}"
+    yield f"{'the chain, us per MB':34}{figures.chain_us_per_mb:>12.0f}"
+    yield f"{'  in cores at that rate':34}{figures.chain_us_per_mb * load.rate / 1e6:>12.4f}"
     yield f"{'rollout messages read, GB/s':34}{figures.reading_gb_s:>12.2f}{GOAL_READING:>8.1f}"
 
 
@@ -113,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"log: {error}", file=sys.stderr)
         return error.exit_code
     about = f"{load.rate:g} MB/s in messages of {load.message:g} MB, for {load.seconds:g} s"
-    for line in (*describe(found), about, "", *table(figures)):
+    for line in (*describe(found), about, "", *table(figures, load)):
         print(line)
     if given.json:
         content = {"machine": found, "load": asdict(load), "figures": asdict(figures)}

@@ -50,8 +50,9 @@ class RecordedRun:
     @property
     def first(self) -> int:
         """Version of the first update whose rollouts are all in the log."""
-        # Rollouts of version v are not written before the update to v - 1 - staleness.
-        return 1 if self.whole else self.before.version + self.settings.staleness + 2
+        # Update u uses rollouts of u - 1 - staleness, which are not written before the update to the version before it.
+        # Of those after `before.version`, the log has what was written after the next update for certain.
+        return 1 if self.whole else self.before.version + self.settings.staleness + 3
 
     @property
     def newest(self) -> int:

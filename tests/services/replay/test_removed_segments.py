@@ -33,7 +33,7 @@ def state(version: int) -> Snapshot:
 
 
 def write_run(run_dir: Path, keep: int | str = 1) -> Path:
-    """Four updates in several segments, a checkpoint of version 2; the segments that begin before update 1 removed."""
+    """Four updates in several segments, a checkpoint of version 3; the segments that begin before update 1 removed."""
     settings = trainer_settings()
     settings = settings.model_copy(update={"log": settings.log.model_copy(update={"keep": keep})})
     metadata = {"run": {"run": RUN}, "settings": {"json": settings.model_dump_json()}}
@@ -49,7 +49,7 @@ def write_run(run_dir: Path, keep: int | str = 1) -> Path:
             log.write(topic, content)
             if topic != "/spec":
                 log.flush(10.0)
-    write_checkpoint(run_dir, state(2))
+    write_checkpoint(run_dir, state(3))
     for path in list_segments(run_dir / "log"):
         if read_tally(path, UPDATES).version < 1:
             path.unlink()
@@ -68,15 +68,16 @@ def audited(run_dir: Path) -> tuple[Audit, list[int]]:
 
 
 def test_it_is_read_from_where_it_is_whole(tmp_path: Path) -> None:
-    """Update 1 was removed, and rollouts of update 2 may have been: the first that is whole is 3."""
+    """Update 1 was removed, perhaps with rollouts of update 3, which are not logged before it: the first that is whole
+    for certain is 4."""
     run = open_run(write_run(tmp_path))
-    assert (run.whole, run.before.version, run.first, run.newest, run.count_updates()) == (False, 1, 3, 4, 2)
+    assert (run.whole, run.before.version, run.first, run.newest, run.count_updates()) == (False, 1, 4, 4, 1)
     assert run.settings.task == "inverted_pendulum"
-    assert [update.version for update in run.updates()] == [3, 4]
-    assert updates_to_read(run, None) == 2
-    with pytest.raises(SettingsError, match="has updates 3 to 4; give one of them"):
+    assert [update.version for update in run.updates()] == [4]
+    assert updates_to_read(run, None) == 1
+    with pytest.raises(SettingsError, match="has updates 4 to 4; give one of them"):
         updates_to_read(run, 2)
-    assert extract(run, tmp_path / "tables", lambda update: None)["metrics.parquet"] == 2
+    assert extract(run, tmp_path / "tables", lambda update: None)["metrics.parquet"] == 1
 
 
 def test_what_is_verified(tmp_path: Path) -> None:
@@ -96,14 +97,14 @@ def test_what_is_verified(tmp_path: Path) -> None:
     }
     (run_dir / "summary.json").write_text(json.dumps(summary))
     audit, versions = audited(run_dir)
-    assert versions == [3, 4]
+    assert versions == [4]
     assert audit.findings == []
     assert audit.chain.findings == []
     lines = list(describe_retention(open_run(run_dir), read_beginning(open_run(run_dir))))
     assert lines[0].startswith("the first 1 updates were removed by retention (log.keep 1): nothing of them was ")
-    assert "updates 2 to 2" in lines[0]
+    assert "updates 2 to 3" in lines[0]
     assert "follows from" in lines[1]
-    assert "00000002.ckpt" in lines[1]
+    assert "00000003.ckpt" in lines[1]
 
 
 def test_a_beginning_that_nobody_was_to_remove(tmp_path: Path) -> None:
@@ -115,15 +116,15 @@ def test_a_beginning_that_nobody_was_to_remove(tmp_path: Path) -> None:
 def test_a_checkpoint_that_is_not_of_the_log(tmp_path: Path) -> None:
     """Is a finding: the log names another digest for its version."""
     run_dir = write_run(tmp_path)
-    write_checkpoint(run_dir, Snapshot(RUN, 2, state(9).digest, dict(state(9).arrays)))
+    write_checkpoint(run_dir, Snapshot(RUN, 3, state(9).digest, dict(state(9).arrays)))
     audit, _ = audited(run_dir)
-    assert f"state digest in {run_dir / 'checkpoints' / '00000002.ckpt'} is '{state(9).digest}'" in audit.findings[0]
+    assert f"state digest in {run_dir / 'checkpoints' / '00000003.ckpt'} is '{state(9).digest}'" in audit.findings[0]
 
 
 def test_without_a_checkpoint_to_begin_with(tmp_path: Path) -> None:
     """There is nothing to make the updates of, which is said."""
     run_dir = write_run(tmp_path)
-    (run_dir / "checkpoints" / "00000002.ckpt").unlink()
+    (run_dir / "checkpoints" / "00000003.ckpt").unlink()
     with pytest.raises(LogReadError, match=r"removed by retention \(log.keep 1\), and beside the log is no checkpoint"):
         read_beginning(open_run(run_dir))
 
