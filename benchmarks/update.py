@@ -14,7 +14,7 @@ import json
 import statistics
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,8 +27,9 @@ from common.config.settings import RunSettings
 from common.learners import LEARNERS
 from common.maths.networks import make_networks
 from common.maths.rkhs.make import make_representation
-from common.maths.state import Batch, LearnerState, initial_state
+from common.maths.state import Batch, initial_state
 from common.maths.update import make_update
+from common.precision import chosen_precision
 from common.runtime import enable_compilation_cache
 from common.tasks import TASKS
 
@@ -46,6 +47,7 @@ class Case:
     name: str
     rkhs: Rkhs | None
     critic: dict[str, Any] = field(default_factory=dict)
+    precision: str = "float32"
 
 
 def _case(representation: str, samples: int | str, capacity: int, **more: Any) -> Case:
@@ -70,6 +72,8 @@ CASES = (
     _case("kmp", "batch", 256),
     _case("cluster", 1, 256),
     _case("basis", "batch", 256),
+    Case("ppo bfloat16", None, precision="bfloat16"),
+    Case("exact n=1 M=256 bfloat16", {"samples": 1, "capacity": 256}, precision="bfloat16"),
     *(Case(f"critic {name}", None, {"representation": name}) for name in ("rff", "nystrom", "linear")),
 )
 
@@ -87,11 +91,17 @@ class Subject:
                 "actors": 1,
                 "rkhs": case.rkhs or {},
                 "critic": case.critic,
+                "algorithm": {"precision": case.precision},
             }
         )
         sizes, learner = TASKS[task], LEARNERS[settings.learner]
         networks, parameters = make_networks(
-            sizes.observation_size, sizes.action_size, settings.algorithm.hidden, settings.seed, learner
+            sizes.observation_size,
+            sizes.action_size,
+            settings.algorithm.hidden,
+            settings.seed,
+            learner,
+            chosen_precision(settings.algorithm.precision),
         )
         update = make_update(settings, networks)
         self._state = initial_state(
@@ -106,7 +116,13 @@ class Subject:
         )
         self.name = case.name
         self._batch = _random_batch(settings)
-        self._update: Callable[[LearnerState, Batch], Any] = jax.jit(update).lower(self._state, self._batch).compile()
+        self._update = jax.jit(update).lower(self._state, self._batch).compile()
+
+    def hlo(self) -> str:
+        """The compiled program as text."""
+        text = self._update.as_text()
+        assert text is not None
+        return text
 
     def seconds(self) -> tuple[float, float]:
         """Wall time of one more update and its CPU time, which other programs on the machine affect less."""

@@ -42,6 +42,8 @@ class AlgorithmSettings(Section):
     """DPO drift for negative advantages"""
     hidden: Widths = (256, 256)
     """widths of the tanh layers of the feature network and the critic; the last is the feature size d"""
+    precision: Literal["float32", "bfloat16", "auto"] = "float32"
+    """of the hidden layers' matrix products; auto: bfloat16 where the learner's device multiplies it faster"""
     normalise_observations: bool = True
     """normalise observations by their running mean and variance"""
     normalise_rewards: bool = True

@@ -14,6 +14,7 @@ from jax import Array
 from jaxtyping import Float
 
 from common.learners import LEARNERS, Learner
+from common.maths.mixed_precision import Precision, bfloat16_dot_general
 
 Parameters = dict
 """A nested dict of arrays: what `nnx.to_pure_dict` makes of a module."""
@@ -21,10 +22,11 @@ Parameters = dict
 _HEAD_SCALE = 0.01  # the policy starts near mean 0 (PureJaxRL)
 
 
-def _dense(inputs: int, outputs: int, scale: float, rngs: nnx.Rngs) -> nnx.Linear:
+def _dense(inputs: int, outputs: int, scale: float, rngs: nnx.Rngs, precision: Precision = "float32") -> nnx.Linear:
     return nnx.Linear(
         inputs,
         outputs,
+        dot_general=bfloat16_dot_general if precision == "bfloat16" else jax.lax.dot_general,
         kernel_init=nnx.initializers.orthogonal(scale),
         bias_init=nnx.initializers.zeros,
         rngs=rngs,
@@ -32,11 +34,14 @@ def _dense(inputs: int, outputs: int, scale: float, rngs: nnx.Rngs) -> nnx.Linea
 
 
 class Tower(nnx.Module):
-    """Dense layers with tanh, orthogonally initialised: R^inputs -> R^widths[-1]; the identity without widths."""
+    """Dense layers with tanh, orthogonally initialised: R^inputs -> R^widths[-1]; the identity without widths.
 
-    def __init__(self, inputs: int, widths: Sequence[int], rngs: nnx.Rngs) -> None:
-        sizes = [inputs, *widths]
-        self.layers = nnx.List(_dense(a, b, float(np.sqrt(2)), rngs) for a, b in itertools.pairwise(sizes))
+    `precision` is that of its products. Weights, sums and what it returns are float32.
+    """
+
+    def __init__(self, inputs: int, widths: Sequence[int], rngs: nnx.Rngs, precision: Precision) -> None:
+        sizes, scale = [inputs, *widths], float(np.sqrt(2))
+        self.layers = nnx.List(_dense(a, b, scale, rngs, precision) for a, b in itertools.pairwise(sizes))
 
     def __call__(self, x: Float[Array, "B inputs"]) -> Float[Array, "B d"]:
         for layer in self.layers:
@@ -69,10 +74,16 @@ class PolicyNetwork(nnx.Module):
     """The part of the policy that gradients train: psi, mu and log_std, as far as the learner has them."""
 
     def __init__(
-        self, learner: Learner, observation_size: int, action_size: int, hidden: Sequence[int], rngs: nnx.Rngs
+        self,
+        learner: Learner,
+        observation_size: int,
+        action_size: int,
+        hidden: Sequence[int],
+        rngs: nnx.Rngs,
+        precision: Precision = "float32",
     ) -> None:
         widths = hidden if learner.features else ()
-        self.features = Tower(observation_size, widths, rngs)
+        self.features = Tower(observation_size, widths, rngs, precision)
         inputs = [observation_size, *widths][-1]
         self.residual: nnx.Linear | NoResidual | TwoHeads
         if learner.residual == "head":
@@ -95,8 +106,10 @@ def within_bound(parameters: Parameters, max_log_std: float | None) -> Parameter
 class Critic(nnx.Module):
     """The state value V: R^O -> R."""
 
-    def __init__(self, observation_size: int, hidden: Sequence[int], rngs: nnx.Rngs) -> None:
-        self.features = Tower(observation_size, hidden, rngs)
+    def __init__(
+        self, observation_size: int, hidden: Sequence[int], rngs: nnx.Rngs, precision: Precision = "float32"
+    ) -> None:
+        self.features = Tower(observation_size, hidden, rngs, precision)
         self.value = _dense(hidden[-1], 1, 1.0, rngs)
 
     def __call__(self, observation: Float[Array, "B O"]) -> Float[Array, "B"]:
@@ -137,16 +150,18 @@ def make_networks(
     hidden: Sequence[int],
     seed: int,
     learner: Learner = LEARNERS["reskpn"],
+    precision: Precision = "float32",
 ) -> tuple[Networks, Parameters]:
     """The networks and their initial parameters `{"policy": ..., "critic": ...}`.
 
-    Policy and critic draw from their own streams, so neither depends on the other's shape.
+    Policy and critic draw from their own streams, so neither depends on the other's shape. `precision` is that of the
+    hidden layers' products; heads and parameters are float32.
     """
     policy_key, critic_key = jax.random.split(jax.random.key(seed))
     policy, policy_parameters = nnx.split(
-        PolicyNetwork(learner, observation_size, action_size, hidden, nnx.Rngs(params=policy_key))
+        PolicyNetwork(learner, observation_size, action_size, hidden, nnx.Rngs(params=policy_key), precision)
     )
-    critic, critic_parameters = nnx.split(Critic(observation_size, hidden, nnx.Rngs(params=critic_key)))
+    critic, critic_parameters = nnx.split(Critic(observation_size, hidden, nnx.Rngs(params=critic_key), precision))
     feature_size = hidden[-1] if learner.features else observation_size
     scale = feature_size**-0.5 if learner.features else 1.0
     networks = Networks(policy, critic, observation_size, action_size, feature_size, scale)

@@ -145,10 +145,12 @@ def resumed_settings(found: Interrupted, load: Callable[[RunSettings], RunSettin
     """
     base = found.settings
     given = load(base)
+    # What stood for a value when the run began stands for that value now.
+    settled = (("rkhs.capacity", base.capacity), ("algorithm.precision", "auto"))
     changed = [
         f"{name} (it is {json.dumps(old)}, given {json.dumps(new)})"
         for name, old, new in _differences(base.model_dump(mode="json"), given.model_dump(mode="json"))
-        if not name.startswith(MAY_CHANGE) and (name, new) != ("rkhs.capacity", base.capacity)
+        if not name.startswith(MAY_CHANGE) and (name, new) not in settled
     ]
     if changed:
         raise SettingsError(
@@ -162,11 +164,13 @@ def resumed_settings(found: Interrupted, load: Callable[[RunSettings], RunSettin
             f"--resume {found.run_dir}: total_steps {given.total_steps} is less than the run's {base.total_steps}; "
             "leave it out, or give more"
         )
-    return _as_large(base, given.model_copy(update={"run_dir": base.run_dir}))
+    return _as_begun(base, given.model_copy(update={"run_dir": base.run_dir}))
 
 
-def _as_large(base: RunSettings, given: RunSettings) -> RunSettings:
-    """The given settings with the capacity of h that the run began with, which its state has to fit."""
+def _as_begun(base: RunSettings, given: RunSettings) -> RunSettings:
+    """The given settings with the precision and the capacity of h that the run began with."""
+    algorithm = given.algorithm.model_copy(update={"precision": base.algorithm.precision})
+    given = given.model_copy(update={"algorithm": algorithm})
     if given.capacity == base.capacity:
         return given
     rkhs = given.rkhs.model_copy(update={"capacity": base.capacity})

@@ -51,6 +51,7 @@ def run(given: argparse.Namespace) -> int:
     resume = given.resume
     if resume is None or resume == AUTO:
         new = settings_given(given) if given.origin is None else over(origin_settings(given.origin), own_endpoint=False)
+        new = _with_precision_chosen(new)
         resume = run_to_resume(new) if resume == AUTO else None
     with stopping(supervised=given.supervised) as stop:
         if resume is None:
@@ -68,6 +69,18 @@ def _origin(given: argparse.Namespace) -> Origin | None:
     from services.learner.resume.origin import read_origin
 
     return None if given.origin is None else read_origin(*parse_origin(given.origin))
+
+
+def _with_precision_chosen(settings: RunSettings) -> RunSettings:
+    """The settings with the precision of this machine for `auto`, which the run then keeps wherever it is resumed."""
+    if settings.algorithm.precision != "auto":
+        return settings
+    from common.precision import choose_precision
+
+    precision, reason = choose_precision()
+    say(f"algorithm.precision auto is {precision} here: {reason}")
+    algorithm = settings.algorithm.model_copy(update={"precision": precision})
+    return settings.model_copy(update={"algorithm": algorithm})
 
 
 def _print_effects(settings: RunSettings) -> None:

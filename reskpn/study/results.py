@@ -104,6 +104,8 @@ def relevant(settings: RunSettings) -> dict[str, Any]:
         del values["rkhs"]
     if settings.critic.representation == "none":
         del values["critic"]
+    if settings.algorithm.precision == "float32":
+        del values["algorithm"]["precision"]  # as results from before there was a choice
     return values
 
 

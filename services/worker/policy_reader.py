@@ -17,6 +17,7 @@ from common.maths.policy import Policy, act
 from common.maths.rkhs.make import make_representation
 from common.maths.state import initial_state
 from common.maths.trees import from_arrays
+from common.precision import chosen_precision
 
 
 class PolicyReader:
@@ -30,6 +31,7 @@ class PolicyReader:
             settings.algorithm.hidden,
             settings.seed,
             LEARNERS[settings.learner],
+            chosen_precision(settings.algorithm.precision),
         )
         representation = make_representation(settings)
         self._template = initial_state(

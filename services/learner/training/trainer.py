@@ -20,6 +20,7 @@ from common.maths.networks import make_networks
 from common.maths.rkhs.make import make_representation
 from common.maths.state import Batch, LearnerState, initial_state
 from common.maths.update import Metrics, make_update
+from common.precision import chosen_precision
 from common.wire.messages import digest_arrays
 from common.wire.rollout import Rollout
 from services.learner.training.batches import assemble
@@ -39,6 +40,7 @@ class Trainer:
             settings.algorithm.hidden,
             settings.seed,
             LEARNERS[settings.learner],
+            chosen_precision(settings.algorithm.precision),
         )
         self._settings = settings
         self._iteration = make_update(settings, networks)

@@ -78,6 +78,14 @@ def test_more_steps_extend_a_run(tmp_path: Path) -> None:
     assert again == settings
 
 
+def test_an_automatic_precision_is_the_one_it_began_with(tmp_path: Path) -> None:
+    """`auto` given again is no change: the run keeps what it chose when it began, on whatever machine it goes on."""
+    settings = resumed_settings(interrupted(tmp_path), given(algorithm__precision="auto"))
+    assert settings.algorithm.precision == "float32"
+    with pytest.raises(SettingsError, match=r'algorithm.precision \(it is "float32", given "bfloat16"\)'):
+        resumed_settings(interrupted(tmp_path), given(algorithm__precision="bfloat16"))
+
+
 def test_fewer_steps_are_refused(tmp_path: Path) -> None:
     """What was done cannot be undone."""
     with pytest.raises(SettingsError, match="total_steps 64 is less than the run's 640"):
