@@ -15,7 +15,7 @@ INVERTED_PENDULUM := --num-envs 1024 --num-steps 20 --total-steps 1.5e6
 CHAOS_POINTS ?= 20
 CHAOS_SEED ?=
 
-.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts lint bench paper-smoke lock clean
+.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench paper-smoke lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -51,6 +51,9 @@ test-install: setup  ## the wheel in an empty environment: train, export and pla
 test-chaos: setup  ## kill -9 at random and at the worst moments, hostile messages, slow and full disks; CHAOS_POINTS=20, CHAOS_SEED=n to repeat
 	@CHAOS_POINTS=$(CHAOS_POINTS) $(if $(CHAOS_SEED),CHAOS_SEED=$(CHAOS_SEED)) \
 		$(BIN)/python -m pytest tests/chaos -p no:randomly -rfE --tb=short
+
+test-pages: setup  ## the live page in headless Chromium, light and dark, wide and narrow; says so where there is none
+	@$(BIN)/python -m pytest tests/pages -p no:randomly --tb=short
 
 lint: setup  ## style, types and import rules
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports

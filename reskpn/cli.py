@@ -17,6 +17,7 @@ COMMANDS = {
     "actor": "collect experience for a learner, from this machine or another",
     "evaluator": "evaluate the policies of a run while it trains, without exploration",
     "status": "show how a run and each of its actors are doing, from any machine that reaches the learner",
+    "dashboard": "show runs in the browser while they train: curves, fleet, where the time goes",
     "play": "play episodes without exploration: of an exported policy, or of any version of a recorded run",
     "evaluate": "the same as play, for recorded runs",
     "export": "write the policy of a run as an ONNX file, or for JAX, verified against its log",

@@ -48,11 +48,18 @@ HEAD = """\
 # EVALUATOR_MEMORY=0
 # TENSORBOARD_CPUS=0
 # TENSORBOARD_MEMORY=0
+# DASHBOARD_CPUS=0
+# DASHBOARD_MEMORY=0
 # ROUTER_CPUS=0
 # ROUTER_MEMORY=0
 
 # Of `docker compose --profile tensorboard up`: the port of this machine, on 127.0.0.1, that shows the curves.
 # TENSORBOARD_PORT=6006
+
+# Of `docker compose --profile dashboard up`: the port of this machine, on 127.0.0.1, that shows the live page, and the
+# token that it asks for; without one it makes one, which `docker compose logs dashboard` shows.
+# DASHBOARD_PORT=6007
+# DASHBOARD_TOKEN=
 
 # Of `docker compose --profile router up router`: the port of this machine that other hosts reach, and the folder that
 # `reskpn certs` made, whose learner/ user 10001 must be able to read.

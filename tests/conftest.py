@@ -8,7 +8,7 @@ from pathlib import Path
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
-WITHOUT_JAX = ("log", "wire", "viewing")
+WITHOUT_JAX = ("log", "wire", "viewing", "dashboard", "pages")
 
 # How long an example takes is the machine's affair, not a promise of what is tested.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])

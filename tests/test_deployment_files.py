@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import shlex
 from pathlib import Path
@@ -88,6 +89,23 @@ def test_tensorboard_sees_the_runs_and_nothing_else(compose: dict[str, Any]) -> 
     assert all("networks" not in compose["services"][name] for name in ("learner", "actor", "evaluator"))
     assert [filled(port) for port in service["ports"]] == ["127.0.0.1:6006:6006"]
     assert service["read_only"] is True
+
+
+def test_the_dashboard_sees_the_runs_and_nothing_else(compose: dict[str, Any]) -> None:
+    """As TensorBoard: started when asked for, reads the volume alone, published on loopback; it asks for a token."""
+    service = compose["services"]["dashboard"]
+    assert service["profiles"] == ["dashboard"]
+    (runs,) = service["volumes"]
+    assert runs == f"{compose['services']['learner']['volumes'][0]}:ro"
+    assert service["networks"] == ["viewers"]
+    assert [filled(port) for port in service["ports"]] == ["127.0.0.1:6007:6007"]
+    assert service["read_only"] is True
+    assert "--new-token" in service["command"]
+    given = cli.load_command("dashboard")
+    parser = argparse.ArgumentParser()
+    given.add_options(parser)
+    options = parser.parse_args(service["command"][1:])
+    assert (options.run_dir, options.host, options.port) == ([Path("/data/runs")], "0.0.0.0", 6007)
 
 
 def test_the_router_is_no_part_of_the_run(compose: dict[str, Any]) -> None:

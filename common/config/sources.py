@@ -32,7 +32,7 @@ from common.errors import SettingsError
 
 PRESETS = ("paper", "fast")
 
-OTHER_VARIABLES = frozenset({"RESKPN_CACHE_DIR"})
+OTHER_VARIABLES = frozenset({"RESKPN_CACHE_DIR", "RESKPN_DASHBOARD_TOKEN"})
 """Variables with the prefix that are not settings of a run."""
 
 METAVARS = {"bool": "true|false", "float": "X", "int": "N", "str": "NAME", "Path": "PATH", "{int,batch}": "N|batch"}

@@ -58,10 +58,13 @@ class SegmentReader:
     CRCs cover messages, attachments and the summary; the format has none for metadata. Any mismatch in bytes,
     framing or count raises LogReadError with path and offset; only the end of a segment without a footer
     may be incomplete.
+
+    `begin`: the offset of a record, up to which another reader has read this segment.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, begin: int = 0) -> None:
         self.path = path
+        self._begin = max(begin, len(MAGIC))
         try:
             self.size = path.stat(follow_symlinks=False).st_size
         except OSError as error:
@@ -72,18 +75,26 @@ class SegmentReader:
 
         Holds one chunk in memory at a time.
         """
-        names: dict[int, str] = {}
-        count = 0
+        for _, messages in self.chunks({}):
+            for message in messages:
+                if topics is None or message.topic in topics:
+                    yield message
+
+    def chunks(self, names: dict[int, str], count: int = 0) -> Iterator[tuple[int, list[LogMessage]]]:
+        """The offset after each complete chunk, and its messages.
+
+        `names`: topics by channel as the chunks before `begin` declare them, added to here; `count`: of their messages.
+        """
         with self._opened() as file:
             for frame in self._frames(file):
                 if frame.opcode != Opcode.CHUNK:
                     continue
-                for message in read_chunk(file, frame, names):
+                messages = read_chunk(file, frame, names)
+                for message in messages:
                     if message.sequence != count:
                         raise self._damaged(frame.start, f"message {message.sequence} comes in place of {count}")
                     count += 1
-                    if topics is None or message.topic in topics:
-                        yield message
+                yield frame.end, messages
         if self.summary is not None and self.summary.messages != count:
             raise self._damaged(self.size, f"{count} messages are left of {self.summary.messages}")
 
@@ -175,7 +186,7 @@ class SegmentReader:
 
     def _frames(self, file: BinaryIO) -> Iterator[Frame]:
         """The complete records of the data section in order, `file` being at the content of each."""
-        start = len(MAGIC)
+        start = self._begin
         while start + RECORD_HEAD.size <= self._end:
             file.seek(start)
             opcode, length = RECORD_HEAD.unpack(exactly(file, RECORD_HEAD.size, self.path))
@@ -205,7 +216,7 @@ class SegmentReader:
             return self.size
         with self._opened() as file:
             zeros = self._start_of_zeros(file)
-            start = len(MAGIC)
+            start = self._begin
             while start < zeros and start + RECORD_HEAD.size <= self.size:
                 file.seek(start)
                 opcode, length = RECORD_HEAD.unpack(exactly(file, RECORD_HEAD.size, self.path))

@@ -17,6 +17,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", metavar="RUN_DIR", help="continue the unfinished run in that directory")
     add_skip_batch(parser)
     add_from(parser)
+    parser.add_argument(
+        "--dashboard",
+        action="store_true",
+        help="show the run in the browser: starts `reskpn dashboard` beside it and prints the address",
+    )
 
 
 def run(given: argparse.Namespace) -> int:
@@ -27,16 +32,16 @@ def run(given: argparse.Namespace) -> int:
     refuse_two_beginnings(given)
     if given.origin is not None:
         base = origin_settings(given.origin)
-        return train(settings_given_over(given)(base, own_endpoint=False), origin=given.origin)
+        return train(settings_given_over(given)(base, own_endpoint=False), origin=given.origin, page=given.dashboard)
     if given.resume is None:
-        return train(settings_given(given))
+        return train(settings_given(given), page=given.dashboard)
     # No process is left that was told the run's former address: a free port is as good.
     over = partial(settings_given_over(given), own_endpoint=False)
     with lock_run(Path(given.resume)) as lock:
         settings = settings_to_resume(Path(given.resume), over)
         if settings is None:
             return close_log(Path(given.resume), lock)
-        return train(settings, resume=lock, skip_batch=given.skip_batch)
+        return train(settings, resume=lock, skip_batch=given.skip_batch, page=given.dashboard)
 
 
 COMMAND = Command(add_options, run, settings_epilog())

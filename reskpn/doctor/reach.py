@@ -15,7 +15,7 @@ from common.wire.credentials import NO_CREDENTIALS, Credentials
 from common.wire.endpoint import Endpoint, free_port
 from common.wire.report import RunReport
 from common.wire.session import Session, open_session
-from reskpn.commands.status import ask, connect
+from common.wire.status_request import ask, connect
 from reskpn.doctor.findings import Finding, size
 
 CONNECT_S = 2.0

@@ -16,19 +16,25 @@ from common.runs.directory import claim_run_dir, default_run_dir
 from common.wire.endpoint import free_port
 from reskpn.supervision import processes
 from reskpn.supervision.actors import ActorSupervisor
+from reskpn.supervision.live_page import live_page
 from reskpn.supervision.stopping import stopping
 
 POLL_S = 0.1
 
 
 def train(
-    settings: RunSettings, *, resume: LogLock | None = None, skip_batch: bool = False, origin: str | None = None
+    settings: RunSettings,
+    *,
+    resume: LogLock | None = None,
+    skip_batch: bool = False,
+    origin: str | None = None,
+    page: bool = False,
 ) -> int:
     """Run to the end and return the learner's exit code.
 
     `resume`: the lock of the unfinished run in `settings.run_dir` to continue, whose settings these are;
     `skip_batch`: without the logged batch of its next update. `origin`: the run, and version, whose state a new run
-    begins with.
+    begins with. `page`: show the run in the browser.
 
     Actors are started beside the learner, not after it: all of them take seconds to load.
 
@@ -44,6 +50,8 @@ def train(
         config = folder / "settings.json"
         config.write_text(settings.model_dump_json())
         stop = stack.enter_context(stopping(supervised=False))
+        if page:
+            stack.enter_context(live_page(settings))
         how = [] if resume is None else ["--resume", str(run_dir), "--lock-fd", str(resume.fd)]
         how += ["--skip-batch"] if skip_batch else []
         how += [] if origin is None else ["--from", origin]

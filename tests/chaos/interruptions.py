@@ -22,7 +22,7 @@ from common.log.reader import LogReader
 from common.wire.endpoint import free_port
 from common.wire.report import RunReport
 from common.wire.rollout import Rollout
-from reskpn.commands.status import ask, connect
+from common.wire.status_request import ask, connect
 from tests.chaos import faulty
 
 SEED = int(os.environ.get("CHAOS_SEED", secrets.randbelow(10**6)))

@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 
 from common.wire.report import RunReport
-from reskpn.commands.status import ask, connect, endpoint_of
+from common.wire.status_request import ask, connect
+from reskpn.commands.status import endpoint_of
 from tests.integration.small_runs import ACTORS, TICK, small_run
 
 LEASE_S = 2.0

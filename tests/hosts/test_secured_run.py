@@ -18,8 +18,8 @@ from common.log.reader import LogReader
 from common.wire.credentials import Credentials
 from common.wire.endpoint import free_port
 from common.wire.report import RunReport
+from common.wire.status_request import ask, connect
 from reskpn.authority import make_all
-from reskpn.commands.status import ask, connect
 from tests.integration.small_runs import BATCH, SMALL, TICK, small_run
 
 UPDATES = 4

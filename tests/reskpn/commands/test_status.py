@@ -17,9 +17,10 @@ from common.errors import CodecError, SessionError, SettingsError
 from common.wire.endpoint import free_port
 from common.wire.keys import STATUS
 from common.wire.session import Request, Session, open_session
+from common.wire.status_request import ask, connect
 from reskpn.cli import main
 from reskpn.commands import status as status_module
-from reskpn.commands.status import ask, connect, endpoint_of, status, status_of_run
+from reskpn.commands.status import endpoint_of, status, status_of_run
 
 STOP = threading.Event()  # never set
 
