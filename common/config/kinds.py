@@ -71,6 +71,7 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Kept = Annotated[int | Literal["everything"], BeforeValidator(number_or("everything", "to delete nothing"))]
 Names = Annotated[tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], BeforeValidator(split_list)]
+Trackers = Annotated[tuple[Literal["wandb", "trackio"], ...], BeforeValidator(split_list)]
 Widths = Annotated[tuple[Count, ...], BeforeValidator(widths)]
 
 

@@ -23,6 +23,7 @@ from common.config.kinds import (
     Section,
     Seed,
     Staleness,
+    Trackers,
 )
 from common.config.randomisation import NOT_RANDOMISED, RandomisationSettings
 from common.config.records import EvaluationSettings, LogSettings
@@ -97,6 +98,8 @@ class RunSettings(Section):
     """directory of the run; by default runs/<task>-<learner>-s<seed>-<time>"""
     episode_length: Count = EPISODE_LENGTH
     """steps after which the time limit truncates an episode"""
+    track: Trackers = ()
+    """wandb, trackio or both: send the curves there, too; the packages are not installed with this one"""
     initial_states: Literal["fixed", "new"] = "fixed"
     """fixed: every environment starts all its episodes in the same state; new: each episode's state is drawn anew"""
 

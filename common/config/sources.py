@@ -91,7 +91,7 @@ def _add_option(parser: Any, *names: str, **given: Any) -> Any:
     given["metavar"] = METAVARS.get(metavar, metavar)
     if isinstance(field.default, tuple):
         given["action"] = "store"
-        given["metavar"] = "N,N,..." if isinstance(field.default[0], int) else "NAME,..."
+        given["metavar"] = "N,N,..." if isinstance(next(iter(field.default), None), int) else "NAME,..."
     return parser.add_argument(*names, **given)
 
 

@@ -17,7 +17,7 @@ from common.log.segments import LOG_DIRECTORY, list_segments, unreadable
 from common.runs.directory import SETTINGS, SUMMARY
 from common.runs.needed_segments import read_tally
 
-MAY_CHANGE = ("transport.", "total_steps", "run_dir", "log.signing_key", "log.keep")
+MAY_CHANGE = ("transport.", "total_steps", "run_dir", "log.signing_key", "log.keep", "track")
 """Settings, or sections of them, that do not affect what a run learns from the experience it has collected."""
 
 
@@ -123,7 +123,7 @@ def _beside_says_other(path: Path, settings: RunSettings) -> bool:
 
 def _same(recorded: RunSettings, given: RunSettings) -> bool:
     pairs = _differences(recorded.model_dump(mode="json"), given.model_dump(mode="json"))
-    return all(name.startswith(("transport.", "run_dir", "log.signing_key", "log.keep")) for name, _, _ in pairs)
+    return all(name.startswith(("transport.", "run_dir", "log.signing_key", "log.keep", "track")) for name, _, _ in pairs)
 
 
 def _began_ns(run_dir: Path) -> int:

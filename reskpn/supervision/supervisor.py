@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from common.config.settings import RunSettings
+from common.config.trackers import require_trackers
 from common.errors import SettingsError
 from common.log.lock import LogLock
 from common.output import say
@@ -43,6 +44,7 @@ def train(
         ProcessError: an actor cannot be kept alive.
     """
     _refuse_certificates(settings)
+    require_trackers(settings.track)
     run_dir = settings.run_dir if resume else claim_run_dir(settings)
     settings = resolved(settings.model_copy(update={"run_dir": run_dir}))
     with ExitStack() as stack:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from common.config.settings import RunSettings
+from common.config.trackers import require_trackers
 from common.errors import INTERRUPTED, ReskpnError
 from common.log.lock import LogLock
 from common.log.segments import LOG_DIRECTORY
@@ -61,6 +62,7 @@ def run_learner(
     """
     began_s = time.monotonic()
     require_authentication(settings.transport)
+    require_trackers(settings.track)
     check_rollout_size(settings)
     enable_compilation_cache()
     keep_large_blocks()

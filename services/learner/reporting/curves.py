@@ -59,7 +59,7 @@ def restore_points(scalars: Scalars, run_dir: Path) -> None:
 
 def comparable_settings(settings: RunSettings) -> dict[str, object]:
     """The settings that runs are compared by: those that say how it learns, not where and how it is kept."""
-    return dict(_flat(settings.model_dump(mode="json", exclude={"transport", "log", "run_dir"})))
+    return dict(_flat(settings.model_dump(mode="json", exclude={"transport", "log", "run_dir", "track"})))
 
 
 def _newest_records(log: Path, reached: int) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -26,6 +26,7 @@ from common.wire.messages import Snapshot
 from services.learner.reporting.curves import EVAL_RETURN, RETURN, comparable_settings
 from services.learner.reporting.display import Display, make_display
 from services.learner.reporting.scalars import Scalars
+from services.learner.reporting.trackers import TrackedRun, make_tracker
 
 
 class Events:
@@ -99,8 +100,13 @@ def open_outlets(
         )
         stack.callback(display.close)
         events = Events(log, display)
-        scalars = Scalars(run_dir / TENSORBOARD, lambda text: events.add("warning", "curves_ended", text))
-        scalars.add_settings(comparable_settings(settings), [RETURN, EVAL_RETURN])
+        compared = comparable_settings(settings)
+        tracked = TrackedRun(run, compared, run_dir)
+        trackers = [
+            make_tracker(name, tracked, lambda text: events.add("warning", "tracker", text)) for name in settings.track
+        ]
+        scalars = Scalars(run_dir / TENSORBOARD, lambda text: events.add("warning", "curves_ended", text), trackers)
+        scalars.add_settings(compared, [RETURN, EVAL_RETURN])
         stack.callback(scalars.close)
         yield Outlets(log, display, events, scalars, failures)
 

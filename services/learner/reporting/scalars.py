@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tensorboardX.event_file_writer import EventsWriter
 from tensorboardX.proto.event_pb2 import Event
 from tensorboardX.summary import hparams, scalar
+
+from services.learner.reporting.trackers import Tracker
 
 _LENGTH_BYTES = 8
 _CRC_BYTES = 4
@@ -24,13 +26,18 @@ class Scalars:
 
     Curves are for looking at, and the log has the same numbers: where they cannot be written they end with one call of
     `warn`, while the run goes on.
+
+    `trackers` get the same points.
     """
 
     # tensorboardX's own `SummaryWriter` writes from a thread; when that meets a full disk it dies, and its callers
     # wait for ever for room in its queue.
 
-    def __init__(self, folder: Path, warn: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(
+        self, folder: Path, warn: Callable[[str], None] = lambda text: None, trackers: Sequence[Tracker] = ()
+    ) -> None:
         self._folder = folder
+        self._trackers = trackers
         self._warn = warn
         self._writer: EventsWriter | None = None
         self._reached: dict[str, int] = {}
@@ -47,15 +54,15 @@ class Scalars:
 
     def add(self, env_steps: int, values: Mapping[str, float | None]) -> None:
         """One value a name at this many environment steps; None is left out."""
-        if self._writer is None:
-            return
         event = Event(step=env_steps, wall_time=time.time())
-        for name, value in values.items():
-            if value is not None and env_steps > self.reached(name):
-                event.summary.value.extend(scalar(name, value).value)
-                self._reached[name] = env_steps
-        if event.summary.value:
+        drawn = {name: value for name, value in values.items() if value is not None and env_steps > self.reached(name)}
+        for name, value in drawn.items():
+            event.summary.value.extend(scalar(name, value).value)
+            self._reached[name] = env_steps
+        if drawn:
             self._write(event)
+            for tracker in self._trackers:
+                tracker.add(env_steps, drawn)
 
     def add_settings(self, settings: Mapping[str, object], curves: list[str]) -> None:
         """Settings by name for TensorBoard's HPARAMS tab, which compares runs by the newest points of `curves`."""
@@ -73,6 +80,8 @@ class Scalars:
 
     def close(self) -> None:
         """Write what is held back. Does nothing the second time."""
+        for tracker in self._trackers:
+            tracker.close()
         if self._writer is None:
             return
         try:
