@@ -123,7 +123,8 @@ def _beside_says_other(path: Path, settings: RunSettings) -> bool:
 
 def _same(recorded: RunSettings, given: RunSettings) -> bool:
     pairs = _differences(recorded.model_dump(mode="json"), given.model_dump(mode="json"))
-    return all(name.startswith(("transport.", "run_dir", "log.signing_key", "log.keep", "track")) for name, _, _ in pairs)
+    kept = ("transport.", "run_dir", "log.signing_key", "log.keep", "track")
+    return all(name.startswith(kept) for name, _, _ in pairs)
 
 
 def _began_ns(run_dir: Path) -> int:

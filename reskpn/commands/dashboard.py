@@ -16,9 +16,11 @@ from common.output import say
 from common.runs.directory import RUNS
 from common.wire.listening_socket import PORT
 from reskpn.commands.command import EXIT_CODES, Command
-from reskpn.commands.connection import over
 
 TOKEN = f"{PREFIX}DASHBOARD_TOKEN"
+
+BESIDE_A_RUN = 10
+"""Niceness beside the run that `train` makes: on a machine without a core to spare the run comes first."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -75,11 +77,14 @@ def run(given: argparse.Namespace) -> int:
     token = _token(given)
     check_token(given.host, token)
     paths = _paths(given)
-    # The connection of this process alone; the other settings are those of runs.
-    transport = over(load().transport, given)
+    credentials = {name: value for name in ("certificates", "users") if (value := vars(given)[name]) is not None}
+    # The environment may have them as well; the other settings are those of runs.
+    transport = load().transport.model_copy(update=credentials)
     served = Served(
         paths, given.endpoint, Credentials.of(transport), token, frozenset(map(str.lower, given.allow_host))
     )
+    if given.supervised:
+        os.nice(BESIDE_A_RUN)
     with stopping(supervised=given.supervised) as stop:
         listening = (
             socket.socket(fileno=given.listening) if given.listening is not None else listen(given.host, given.port)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import threading
 import time
 from collections.abc import Collection as Several
@@ -34,8 +33,8 @@ KEPT = 32
 
 MOST_LISTED = 500
 
-PROCESSES = "processes"
-"""Folder of a run directory with the output of its processes; it is there before the learner is."""
+FIRST_PARTS = frozenset({"processes", "log"})
+"""Parts of a run directory that are there before the learner has written anything into them."""
 
 
 class ShownRun(Protocol):
@@ -166,13 +165,11 @@ def _runs_in(path: Path) -> list[ListedRun]:
     try:
         names = {entry.name for entry in path.iterdir()}
         own = describe_run(path)
-        runs = list_runs(path) if own is None else [own]
+        if own is None and names <= FIRST_PARTS:
+            own = ListedRun(path, "-", "-", None, None, None, None, "starting", 0, path.stat().st_mtime)
+        return list_runs(path) if own is None else [own]
     except OSError:
         return []
-    if names == {PROCESSES}:
-        # Of a run whose learner has not written anything yet.
-        return [dataclasses.replace(run, path=path) for run in runs]
-    return runs
 
 
 def is_running(listed: ListedRun | None) -> bool:

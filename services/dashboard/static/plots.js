@@ -103,7 +103,7 @@ function axesOf(xLabel, log) {
   const common = { stroke: text, font, labelFont: font, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid, width: 1, size: 4 } };
   return [
     { ...common, label: xLabel, labelSize: 18, labelGap: 0, size: 30, space: 64, values: (_, found, __, ___, step) => ticks(found, step) },
-    { ...common, size: 58, space: 34, ...(log ? { splits: powers, values: (_, found) => found.map(short) } : { values: (_, found, __, ___, step) => ticks(found, step) }) },
+    { ...common, size: 58, space: 34, ...(log ? { splits: powers, filter: (_, found) => found, values: (_, found) => found.map(short) } : { values: (_, found, __, ___, step) => ticks(found, step) }) },
   ];
 }
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import queue
 import threading
 from collections.abc import Callable, Mapping
@@ -121,15 +123,22 @@ class _Trackio:
 
     def __init__(self, run: TrackedRun) -> None:
         self._trackio: Any = import_module("trackio")
-        self._run = self._trackio.init(
-            project=PROJECT, name=run.name, resume="allow", config=dict(run.settings), embed=False
-        )
+        with _quiet():
+            self._run = self._trackio.init(
+                project=PROJECT, name=run.name, resume="allow", config=dict(run.settings), embed=False
+            )
 
     def log(self, env_steps: int, values: Mapping[str, float]) -> None:
         self._run.log(dict(values), step=env_steps)
 
     def finish(self) -> None:
-        self._run.finish()
+        with _quiet():
+            self._run.finish()
+
+
+def _quiet() -> contextlib.AbstractContextManager[object]:
+    """Hold back what trackio prints; the run's display, which has its own stream since its start, goes on."""
+    return contextlib.redirect_stdout(io.StringIO())
 
 
 _SINKS: dict[str, Callable[[TrackedRun], Sink]] = {"wandb": _Wandb, "trackio": _Trackio}

@@ -94,7 +94,7 @@ def test_runs_are_followed_while_they_are_looked_at(
     assert not polled.wait(0.2)
 
 
-@pytest.mark.parametrize("names", [[], ["processes"]])
+@pytest.mark.parametrize("names", [[], ["processes"], ["processes", "log"]])
 def test_a_run_that_is_about_to_begin(
     tmp_path: Path, names: list[str], collection: Callable[..., RunCollection]
 ) -> None:
