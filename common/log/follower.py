@@ -57,6 +57,8 @@ class LogFollower:
 
     def _advance(self, at: _Position, found: list[LogMessage], most: int) -> bool:
         """Read on in the segment; False where it has no more for now."""
+        if not at.path.exists() and self._following(at) is not None:
+            return False  # a run may keep the newest segments alone
         segment = SegmentReader(at.path, at.offset)
         if segment.size < at.offset:
             raise damaged(at.path, segment.size, "it became shorter than it was when it was last read")
@@ -81,8 +83,4 @@ class LogFollower:
 
     def _following(self, at: _Position) -> Path | None:
         """The segment after this one. Looked up before this one is read: it is complete once there is another."""
-        segments = find_segments(self._path)
-        later = [path for path in segments if path.name > at.path.name]
-        if at.path not in segments:
-            raise damaged(at.path, 0, "it was removed while the log was followed")
-        return later[0] if later else None
+        return next((path for path in find_segments(self._path) if path.name > at.path.name), None)

@@ -7,7 +7,7 @@ import json
 import threading
 import time
 from collections.abc import AsyncIterator, Sequence
-from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
@@ -51,7 +51,7 @@ class Page:
         self._runs = runs
         self._stop = stop
         self._streams = 0
-        folder = resources.files("services.dashboard") / "static"
+        folder = Path(__file__).parent / "static"
         self._files = {name: (folder / name).read_bytes() for name in TYPES}
 
     def application(self) -> Starlette:
