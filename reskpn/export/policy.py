@@ -72,9 +72,7 @@ def trained_policy(
     found: RecordedPolicy | None = newest_held_policy(recorded) if version is None else None
     if found is None:
         found = recorded_policy(recorded, version, lambda: Trainer(recorded.settings), on_update)
-    return TrainedPolicy(
-        recorded.run, recorded.settings, found.version, recorded.count_updates(), found.arrays, found.exact
-    )
+    return TrainedPolicy(recorded.run, recorded.settings, found.version, recorded.newest, found.arrays, found.exact)
 
 
 def facts(policy: TrainedPolicy, layout: list[str], action_limits: Mapping[str, Any], step_s: float) -> dict[str, Any]:

@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 import socket
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from samples import settings
+from samples import RUN, settings
 
-from common.errors import LogWriteError, SessionError
+from common.errors import LogReadError, LogWriteError, SessionError
 from common.log.reader import LogReader
 from common.log.writer import LogWriter
+from common.wire.endpoint import free_port
 from common.wire.messages import Evaluation
+from reskpn.commands.status import ask, connect
+from reskpn.health import Health, learner_health, port_health
 from services.learner import service
 from services.learner.reporting.outlets import Events
 from services.learner.reporting.statistics import TrainingReturn
@@ -185,3 +189,38 @@ def test_a_run_that_cannot_listen_leaves_no_directory(tmp_path: Path, monkeypatc
         with pytest.raises(SessionError, match=r"port \d+ of .* is in use"):
             service.run_learner(given, stop=threading.Event())
     assert not (tmp_path / "run").exists()
+
+
+def test_a_learner_answers_while_it_reads_its_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Status, the health port and joins say how far it is, from before the log is read: however long that takes, the
+    learner is alive, and not ready."""
+    endpoint, port = f"tcp/127.0.0.1:{free_port()}", free_port()
+    given = settings(run_dir=tmp_path, transport={"endpoint": endpoint, "health_port": port})
+    with LogWriter(tmp_path / "log", metadata={"run": {"run": RUN}}) as log:
+        log.write("/event", {})
+    reading, enough = threading.Event(), threading.Event()
+
+    def read(*_: Any, on_read: Any, **__: Any) -> None:
+        on_read(7_000_000, 115_000_000_000)
+        reading.set()
+        enough.wait(60.0)
+        raise LogReadError("stopped by the test")
+
+    monkeypatch.setattr(service, "enable_compilation_cache", lambda: None)
+    monkeypatch.setattr(service, "plan_resumption", read)
+    with ThreadPoolExecutor(1) as pool:
+        ended = pool.submit(service.run_learner, given, stop=threading.Event(), resume=True)
+        try:
+            assert reading.wait(60.0)
+            text = "resuming, 7 of 115,000 MB of the log read"
+            found = port_health(port, 15.0)
+            assert (found.good, found.text) == (True, f"the learner is {text}")
+            assert not port_health(port, 15.0, ready=True).good
+            assert learner_health(endpoint, 15.0) == Health(True, f"the learner is {text}; ask again later (run {RUN})")
+            with connect(endpoint, 15.0) as session:
+                report = ask(session, endpoint, 15.0)
+            assert (report.run, report.waiting_for) == (RUN, text)
+        finally:
+            enough.set()
+        with pytest.raises(LogReadError, match="stopped by the test"):
+            ended.result(60.0)
