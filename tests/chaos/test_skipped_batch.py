@@ -20,7 +20,7 @@ from common.runs.tally import Tally
 from common.wire.rollout import Rollout
 from tests.chaos.interruptions import Processes, small_options, summary, train_until, updates_seen, verified
 
-pytestmark = pytest.mark.timeout(400)  # three processes load and compile at every start
+pytestmark = pytest.mark.timeout(900)  # three processes load and compile at every start
 
 UPDATES = 14
 OPTIONS = [*small_options(UPDATES, episodes=2), "--learner", "ppo"]

@@ -268,3 +268,18 @@ def test_malformed_arrays(changes, reason):
     """An array whose dtype, shape and bytes do not agree is refused."""
     assert decode(array_message())["x"].tolist() == [0.0, 0.0]
     assert refusal(array_message(**changes)).reason == reason
+
+
+def test_what_came_is_not_repeated_at_length():
+    """A dtype of 8 MB: the sentence that refuses it has less than 300 characters, and no `repr` of it is made, which would
+    take four times as much."""
+    data = array_message(dtype="\x01" * (8 << 20))
+    tracemalloc.start()
+    try:
+        found = refusal(data, max_message=16 << 20, max_str=16 << 20)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert found.reason in ("bad_dtype", "too_large")
+    assert len(str(found)) < 300
+    assert peak < 3 * (8 << 20)
