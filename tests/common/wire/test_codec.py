@@ -271,8 +271,8 @@ def test_malformed_arrays(changes, reason):
 
 
 def test_what_came_is_not_repeated_at_length():
-    """A dtype of 8 MB: the sentence that refuses it has less than 300 characters, and no `repr` of it is made, which would
-    take four times as much."""
+    """A dtype of 8 MB: the sentence that refuses it has less than 300 characters, and no `repr` of it is made, which
+    would take four times as much."""
     data = array_message(dtype="\x01" * (8 << 20))
     tracemalloc.start()
     try:
