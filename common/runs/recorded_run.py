@@ -131,13 +131,21 @@ class RecordedRun:
             except CodecError as error:
                 raise LogReadError(f"message {message.sequence} of /policy is not a policy: {error}") from None
 
+    def records(self, topic: str) -> Iterator[Mapping[str, Any]]:
+        """The messages of a JSON channel in the order of the log.
+
+        Raises (from the iterator):
+            LogReadError: the log is damaged, or there is no such channel.
+        """
+        return (message.json() for message in self._reader.messages([topic]))
+
     def evaluations(self) -> Iterator[Mapping[str, Any]]:
         """The `/eval` records in the order of the log: the run's own and those of evaluators.
 
         Raises (from the iterator):
             LogReadError: the log is damaged.
         """
-        return (message.json() for message in self._reader.messages(["/eval"]))
+        return self.records("/eval")
 
     def messages(
         self, chain: ChainCheck | None = None, *, after: int = 0

@@ -25,7 +25,16 @@ from reskpn.export.verify import Verified, verify
 from reskpn.policy_file import FORMAT, KEY, SIMULATION, load, pack
 
 Format = Literal["onnx", "jax"]
-SUFFIXES: dict[str, str] = {"onnx": ".onnx", "jax": ".npz"}
+FORMATS: tuple[Format, ...] = ("onnx", "jax")
+SUFFIXES: dict[Format, str] = {"onnx": ".onnx", "jax": ".npz"}
+
+
+def format_of(path: Path) -> Format:
+    """The format that a file's ending stands for. SettingsError for another ending."""
+    for format in FORMATS:
+        if path.suffix == SUFFIXES[format]:
+            return format
+    raise SettingsError(f"{path}: an exported policy is a file that ends in .onnx, or in .npz for JAX")
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import sys
 import tempfile
+import threading
 import time
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -43,37 +45,64 @@ def train(
         SettingsError: the run directory holds another run, or cannot be written.
         ProcessError: an actor cannot be kept alive.
     """
-    _refuse_certificates(settings)
+    refuse_certificates(settings)
     require_trackers(settings.track)
     run_dir = settings.run_dir if resume else claim_run_dir(settings)
+    how = [] if resume is None else ["--resume", str(run_dir), "--lock-fd", str(resume.fd)]
+    how += ["--skip-batch"] if skip_batch else []
+    how += [] if origin is None else ["--from", origin]
     settings = resolved(settings.model_copy(update={"run_dir": run_dir}))
+    with ExitStack() as stack:
+        stop = stack.enter_context(stopping(supervised=False))
+        if page:
+            stack.enter_context(live_page(settings))
+        return supervise(settings, stop=stop, how=how, keep=() if resume is None else (resume.fd,))
+
+
+def supervise(
+    settings: RunSettings,
+    *,
+    stop: threading.Event | None = None,
+    on_poll: Callable[[], None] = lambda: None,
+    how: Sequence[str] = (),
+    keep: Sequence[int] = (),
+    output: int | None = None,
+) -> int:
+    """Run the learner and the actors of a run whose directory is claimed; returns the learner's exit code.
+
+    An exception from `on_poll`, or KeyboardInterrupt, stops them in good order.
+
+    Args:
+        settings: as `resolved` makes them.
+        stop: when it is set, the run is stopped and the learner closes its log.
+        on_poll: called about ten times a second.
+        how: further words of the learner's command line; `keep`: descriptors that it inherits.
+        output: descriptor for what the learner prints; None for this process's standard output.
+
+    Raises:
+        ProcessError: an actor cannot be kept alive.
+    """
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="reskpn-")))
         config = folder / "settings.json"
         config.write_text(settings.model_dump_json())
-        stop = stack.enter_context(stopping(supervised=False))
-        if page:
-            stack.enter_context(live_page(settings))
-        how = [] if resume is None else ["--resume", str(run_dir), "--lock-fd", str(resume.fd)]
-        how += ["--skip-batch"] if skip_batch else []
-        how += [] if origin is None else ["--from", origin]
-        learner = processes.start(
-            [*processes.reskpn_command("learner"), "--config", str(config), *how],
-            keep=() if resume is None else (resume.fd,),
-        )
+        command = [*processes.reskpn_command("learner"), "--config", str(config), *how]
+        learner = processes.start(command, output=output, keep=keep)
         stack.callback(processes.stop_all, [learner])
         actors = ActorSupervisor(settings)
         stack.callback(actors.stop)
         while learner.poll() is None:
-            if stop.is_set():
+            if stop is not None and stop.is_set():
                 processes.ask_to_stop(learner)
             else:
                 actors.keep_alive()
+            on_poll()
             time.sleep(POLL_S)
         if learner.returncode >= 0:
             return learner.returncode
         say(
-            f"the learner was ended by signal {-learner.returncode}; continue with: reskpn train --resume {run_dir}",
+            f"the learner was ended by signal {-learner.returncode}; continue with: "
+            f"reskpn train --resume {settings.run_dir}",
             sys.stderr,
         )
         return 128 - learner.returncode
@@ -88,7 +117,7 @@ def resolved(settings: RunSettings) -> RunSettings:
     return settings.model_copy(update=changes)
 
 
-def _refuse_certificates(settings: RunSettings) -> None:
+def refuse_certificates(settings: RunSettings) -> None:
     """SettingsError for certificates: they are one process's, and a learner's do not allow it to work as an actor."""
     if settings.transport.certificates is not None:
         raise SettingsError(

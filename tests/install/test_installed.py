@@ -123,8 +123,9 @@ def test_commands_work_from_any_folder(binaries: Path, elsewhere: Path, trained:
     reskpn = binaries / "reskpn"
     played = json.loads(run(reskpn, "play", "policy.onnx", "--episodes", "2", "--json", cwd=elsewhere))
     assert len(played["returns"]) == 2
-    assert "inverted_pendulum" in run(reskpn, "runs", ".", cwd=elsewhere)
+    assert "inverted_pendulum" in run(reskpn, "runs", "--folder", ".", cwd=elsewhere)
     run(reskpn, "replay", "run", "--verify", cwd=elsewhere)
+    assert "frames in run/film.mp4" in run(reskpn, "film", "run", "--size", "320x240", cwd=elsewhere)
     assert run(reskpn, "--version", cwd=elsewhere).startswith("reskpn 0.")
 
 
