@@ -67,7 +67,6 @@ def made_up(shape: RolloutShape) -> dict[str, np.ndarray]:
     sizes = {
         "obs": (steps, envs, shape.observation_size),
         "action": (steps, envs, shape.action_size),
-        "log_prob": (steps, envs),
         "reward": (steps, envs),
         "last_obs": (envs, shape.observation_size),
         "truncated_obs": (0, shape.observation_size),
@@ -77,6 +76,8 @@ def made_up(shape: RolloutShape) -> dict[str, np.ndarray]:
         "mirror_obs": (branches, shape.observation_size),
     }
     numbers = {name: draw(size, np.float32) for name, size in sizes.items()}
+    # Those of draws from a policy of mean 0 and deviation 1, as the learner's first one is: others are refused.
+    numbers["log_prob"] = (-0.5 * numbers["action"] ** 2 - np.float32(0.9189385)).sum(-1)
     flags = {name: np.zeros((steps, envs), bool) for name in ("terminated", "truncated")}
     mirrored = {name: np.zeros(branches, bool) for name in ("mirror_terminated", "mirror_truncated")}
     return {**numbers, **flags, **mirrored, "episode_length": np.zeros(0, np.int32)}

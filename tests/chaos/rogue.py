@@ -92,6 +92,8 @@ def wrong_rollouts(keys: Keys, good: Rollout) -> Iterator[tuple[str, str, bytes]
     infinite[-1, -1] = np.inf
     yield "not_finite", key, changed(obs=unknown)
     yield "not_finite", key, changed(reward=infinite)
+    yield "too_big", key, changed(reward=np.full_like(good.reward, 1e30))
+    yield "bad_log_prob", key, changed(log_prob=np.full_like(good.log_prob, -1e6))
     yield "bad_shape", key, changed(obs=good.obs[:-1])
     yield "bad_shape", key, changed(last_obs=good.last_obs[:, :-1])
     always, cut = np.ones_like(good.terminated), np.zeros((good.terminated.size, good.obs.shape[-1]), np.float32)

@@ -42,6 +42,8 @@ def test_a_rogue_actor_and_a_bad_line(
         reason: times * wrong
         for reason, times in {
             "not_finite": 2,
+            "too_big": 1,
+            "bad_log_prob": 1,
             "bad_shape": 2,
             "bad_value": 1,
             "gap": 1,
