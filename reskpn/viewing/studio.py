@@ -93,8 +93,8 @@ class Controls(plugin.ViewerPlugin):
 
     def _keys(self) -> None:
         """Space plays or stays, the arrows go a step."""
-        if imgui.GetIO().WantTextInput:
-            return
+        if imgui.IsAnyItemActive():
+            return  # a number is being typed, or a slider held
         now = self._player.position()
         if imgui.IsKeyPressed(imgui.Key.Space):
             self._player.play(not now.playing)

@@ -356,7 +356,14 @@ def test_diverged_simulations_are_counted(reader: PolicyReader, policy: Policy) 
     np.testing.assert_array_equal(sent.terminated[0], [True, False, True, False])
     sent.check(RolloutShape(STEPS, ENVS, 4, 1))
     collector.keep()
+    found = collector.diverged()
+    assert found is not None
+    assert (found.env, found.step, found.motion.steps) == (0, 0, 1)
+    np.testing.assert_array_equal(found.motion.qpos, positions[:1])
+    np.testing.assert_array_equal(found.motion.action, sent.action[:1, 0])
     assert collect(collector, policy).diverged == 0
+    collector.keep()
+    assert collector.diverged() is None
 
 
 def test_the_engine_is_known(used: tuple[Collector, list[Rollout]]) -> None:
@@ -438,6 +445,11 @@ def test_the_first_episode_is_kept(environment: BatchedEnvironment, reader: Poli
         expected.append(np.asarray(state.bodies.q[0]))
         state, _ = environment.step(state, mode(policy, state.obs))
     np.testing.assert_array_equal(first.qpos, np.stack(expected))
+    # one trajectory is kept by default: the whole first episode, worth 1 a step
+    (motion,) = first.motions
+    np.testing.assert_array_equal(motion.qpos, first.qpos)
+    assert [part.shape for part in (motion.qvel, motion.action)] == [(first.lengths[0], 2), (first.lengths[0], 1)]
+    assert motion.reward.sum() == first.returns[0]
     assert episodes.step_s == pytest.approx(0.04)  # the pendulum's 0.02 s, twice
 
 
