@@ -83,7 +83,7 @@ class Controls(plugin.ViewerPlugin):
     @messages.handler
     def _on_gui(self, event: messages.BuildGuiEvent) -> None:
         imgui.SetNextWindowPos(imgui.Vec2(12, 40), int(imgui.Cond.FirstUseEver))
-        imgui.SetNextWindowSize(imgui.Vec2(420, 300), int(imgui.Cond.FirstUseEver))
+        imgui.SetNextWindowSize(imgui.Vec2(440, 270), int(imgui.Cond.FirstUseEver))
         self._keys()
         if imgui.Begin(PANEL)[0]:
             self._choice()
@@ -142,7 +142,8 @@ class Controls(plugin.ViewerPlugin):
         imgui.TextUnformatted(f"time {now.step * take.step_s:.2f} of {take.seconds:.2f} s")
         imgui.TextUnformatted(f"reward {now.reward:.3f}, return up to here {now.total:,.1f}")
         action = ", ".join(f"{value:.2f}" for value in take.motion.action[now.step][:8])
-        imgui.TextUnformatted(f"action {action}{', ...' if take.motion.action.shape[1] > 8 else ''}")
+        more = ", ..." if take.motion.action.shape[1] > 8 else ""
+        imgui.TextUnformatted(f"action {action}{more} (the environment clips it to -1 to 1)")
         if take.diverged and now.step == take.motion.steps - 1:
             imgui.TextColored(imgui.Vec4(0.85, 0.15, 0.1, 1.0), "the next step diverged: there is no state after it")
 
