@@ -131,6 +131,9 @@ class FollowedRun:
             state |= {"phase": "finished", "summary": _summary(summary)}
         elif report is not None:
             reported = state_of_report(report)
+            if reported.get("version", 0) < state["version"]:
+                # A learner that resumes counts from the start while it reads the log, which is there already.
+                reported |= {"version": None, "env_steps": None}
             state |= {name: value for name, value in reported.items() if value is not None} | {"asked": True}
         elif growing or (listed is not None and listed.state == "running"):
             state |= {"phase": "training" if state["version"] else "starting"}

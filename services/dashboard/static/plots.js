@@ -3,6 +3,7 @@ import { element, isNumber, seconds, short, swatch } from "./texts.js";
 
 const LINES = ["#3b82f6", "#f97316", "#16a34a", "#a855f7", "#e11d48", "#0891b2", "#b45309", "#64748b", "#65a30d", "#db2777", "#4f46e5", "#0d9488"];
 const HEIGHT = 220;
+const NEWEST = 50;
 
 export const colourOf = (number) => LINES[number % LINES.length];
 export const letterOf = (number) => String.fromCharCode(65 + number);
@@ -72,7 +73,10 @@ export function ticks(values, step) {
   const size = Math.max(...values.map(Math.abs));
   if (!(size > 0)) return values.map(String);
   const [unit, suffix] = size >= 1e9 ? [1e9, "G"] : size >= 1e6 ? [1e6, "M"] : size >= 1e4 ? [1e3, "k"] : [1, ""];
-  if (size < 1e-3) return values.map((value) => (value === 0 ? "0" : value.toExponential(Math.max(0, Math.ceil(Math.log10(Math.abs(value) / step) - 0.01))).replace("e-0", "e-")));
+  if (size < 1e-3) {
+    const digits = Math.max(0, Math.ceil(Math.log10(size / step) - 0.01));
+    return values.map((value) => (value === 0 ? "0" : value.toExponential(digits)));
+  }
   let digits = 0;
   while (digits < 6 && Math.abs((step / unit) * 10 ** digits - Math.round((step / unit) * 10 ** digits)) > 1e-6) digits += 1;
   return values.map((value) => (value === 0 ? "0" : (value / unit).toFixed(digits) + suffix));
@@ -215,7 +219,7 @@ export function stacked(columns, parts, x) {
 // The mean share of each phase in the newest rows, as a bar and in numbers.
 export function shares(columns, { title, parts }) {
   const known = parts
-    .map((part) => ({ ...part, mean: meanOfLast(columns[part.column] ?? [], 50) }))
+    .map((part) => ({ ...part, mean: meanOfLast(columns[part.column] ?? [], NEWEST) }))
     .filter((part) => isNumber(part.mean));
   const total = known.reduce((sum, part) => sum + part.mean, 0);
   if (!(total > 0)) return null;
@@ -227,7 +231,7 @@ export function shares(columns, { title, parts }) {
     stack.append(block);
   }
   const items = known.map((part) => element("li", {}, swatch(part.colour, "block"), part.label, element("b", {}, `${seconds(part.mean)}, ${Math.round((100 * part.mean) / total)} %`)));
-  return element("div", {}, element("h3", {}, title, element("span", { class: "of" }, ` ${seconds(total)}, mean of the last 50 points`)), stack, element("ul", { class: "parts" }, ...items));
+  return element("div", {}, element("h3", {}, title, element("span", { class: "of" }, ` ${seconds(total)}, mean of the newest ${Math.min(NEWEST, columns.version.length)} points`)), stack, element("ul", { class: "parts" }, ...items));
 }
 
 function meanOfLast(values, count) {

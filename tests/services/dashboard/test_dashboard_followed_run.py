@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from dashboard_runs import SECRET, append, evaluation, settings, update, write_summary
-from reports import report
+from reports import progress, report
 
 from common.log.lock import LogLock
 from common.wire.credentials import NO_CREDENTIALS
@@ -133,6 +133,18 @@ def test_the_learner_is_asked_for_the_fleet(make_run: Callable[..., Path], stop:
         assert run.view.state["phase"] == "finished"
     assert run._link is not None
     run._link.join()
+
+
+def test_a_learner_that_reads_its_log_does_not_set_the_run_back(
+    make_run: Callable[..., Path], stop: threading.Event
+) -> None:
+    """It reports version 0 then; the log has 3."""
+    run = follow(make_run(name="hopper-ppo-s0-ab12"), stop)
+    run.poll()
+    run._on_report(report(progress=progress(phase="resuming", version=0, env_steps=0)))
+    run.poll()
+    state = run.view.state
+    assert (state["phase"], state["version"], state["env_steps"]) == ("resuming", 3, 36)
 
 
 def test_another_run_at_the_address_is_not_this_one(make_run: Callable[..., Path], stop: threading.Event) -> None:
