@@ -46,7 +46,7 @@ test-hosts: setup  ## learner, actors, a viewer and an outsider on hosts of thei
 	@$(BIN)/python -m pytest tests/hosts -p no:randomly -rA --tb=short --timeout 400
 
 test-install: setup  ## the wheel in an empty environment: train, export and play beside a user's own `common` and `services`
-	@$(BIN)/python -m pytest tests/install -p no:randomly --tb=short --timeout 400
+	@$(BIN)/python -m pytest tests/install -p no:randomly --tb=short --timeout 900
 
 test-chaos: setup  ## kill -9 at random and at the worst moments, hostile messages, slow and full disks; CHAOS_POINTS=20, CHAOS_SEED=n to repeat
 	@CHAOS_POINTS=$(CHAOS_POINTS) $(if $(CHAOS_SEED),CHAOS_SEED=$(CHAOS_SEED)) \

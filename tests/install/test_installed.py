@@ -46,7 +46,7 @@ def run(*command: object, cwd: Path, code: int = 0) -> str:
     """What a command prints; it must end with that exit code."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
-        list(map(str, command)), cwd=cwd, env=environment, capture_output=True, text=True, timeout=400, check=False
+        list(map(str, command)), cwd=cwd, env=environment, capture_output=True, text=True, timeout=600, check=False
     )
     assert done.returncode == code, f"{command}:\n{done.stdout}\n{done.stderr}"
     return done.stdout
