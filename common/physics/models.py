@@ -1,4 +1,4 @@
-"""The tasks of `brax.envs` and the MuJoCo models behind them."""
+"""The tasks of `brax.envs`, and the MuJoCo models behind all tasks."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from common.errors import SettingsError
 from common.physics.libraries import envs, log_instead_of_printing, without_announcements
+from common.physics.lookup import load_definition
 from common.suggestions import unknown_name
 from common.tasks import TASKS
 
@@ -31,6 +32,20 @@ def load_task(task: str) -> Any:
     log_instead_of_printing()
     with without_announcements():
         return envs.get_environment(task, backend="mjx")
+
+
+def task_model(task: str) -> mujoco.MjModel:
+    """The model of any task, as the C engine simulates it: to show it, for example.
+
+    Raises:
+        SettingsError: there is no such task, or its class may not be imported here (`common.physics.lookup`).
+    """
+    return c_model(load_task(task)) if task in TASKS else load_definition(task).model
+
+
+def step_seconds(task: str) -> float:
+    """The simulated seconds of one environment step of any task. Raises as `task_model`."""
+    return float(load_task(task).dt) if task in TASKS else load_definition(task).step_s
 
 
 def c_model(environment: Any) -> mujoco.MjModel:

@@ -24,11 +24,15 @@ Ranges = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Scaled:
-    """A field of the model that a factor changes: its leading `columns` (None for all), times factor ** power."""
+    """A field of the model that a factor changes: its leading `columns` (None for all), times factor ** power.
+
+    `beside`: a field that is a part of it and stays as it is.
+    """
 
     field: str
     power: int = 1
     columns: int | None = None
+    beside: str | None = None
 
 
 FIELDS: dict[str, tuple[Scaled, ...]] = {
@@ -37,6 +41,8 @@ FIELDS: dict[str, tuple[Scaled, ...]] = {
         Scaled("body_mass"),
         Scaled("body_inertia"),
         Scaled("body_subtreemass"),
+        # The inertia that the C engine takes for joints of simple bodies.
+        Scaled("dof_M0", beside="dof_armature"),
         Scaled("body_invweight0", power=-1),
         Scaled("dof_invweight0", power=-1),
     ),
@@ -69,4 +75,5 @@ def scaled_fields(model: Any, scales: Mapping[str, Any], xp: Any) -> Iterator[tu
             power = power.reshape(*power.shape, *[1] * nominal.ndim)
             if scaled.columns is not None:
                 power = xp.where(np.arange(nominal.shape[-1]) < scaled.columns, power, 1.0)
-            yield scaled.field, nominal * power
+            rest = 0.0 if scaled.beside is None else getattr(model, scaled.beside)
+            yield scaled.field, rest + (nominal - rest) * power

@@ -14,18 +14,19 @@ from reskpn.doctor.findings import Finding, guarded
 from reskpn.doctor.machine import check_cores, check_disk, check_memory, check_packages, check_python, check_writing
 from reskpn.doctor.needs import Needs, needs
 from reskpn.doctor.reach import Answer, check_clock, check_port, check_zenoh
+from reskpn.doctor.task import examine_task
 
 PROBLEM = 1
 """Exit code where a problem was found."""
 
 
-def doctor(settings: RunSettings, *, as_json: bool, full: bool, joins: bool = False) -> int:
+def doctor(settings: RunSettings, *, as_json: bool, full: bool, joins: bool = False, task: bool = False) -> int:
     """Print the findings, one a line or as one JSON object; returns 0, or 1 if there is a problem.
 
-    `joins`: an actor is to be started here, so that a learner must answer at the endpoint.
+    `joins`: an actor is to be started here, so that a learner must answer at the endpoint. `task`: examine the task.
     """
     found = []
-    for finding in examine(settings, full=full, joins=joins):
+    for finding in examine(settings, full=full, joins=joins, task=task):
         found.append(finding)
         if not as_json:
             print(finding.line, flush=True)
@@ -35,8 +36,8 @@ def doctor(settings: RunSettings, *, as_json: bool, full: bool, joins: bool = Fa
     return PROBLEM if problems else 0
 
 
-def examine(settings: RunSettings, *, full: bool, joins: bool = False) -> Iterator[Finding]:
-    """The findings for a run with these settings on this machine; `full` compiles MJX as well."""
+def examine(settings: RunSettings, *, full: bool, joins: bool = False, task: bool = False) -> Iterator[Finding]:
+    """The findings for a run with these settings on this machine; `full` compiles MJX as well, `task` looks at it."""
     yield guarded("python", check_python)
     yield guarded("packages", check_packages)
     jax = guarded("jax", check_jax)
@@ -56,6 +57,8 @@ def examine(settings: RunSettings, *, full: bool, joins: bool = False) -> Iterat
     yield guarded("zenoh", check_zenoh)
     yield guarded("native", check_native)
     yield guarded("mjx", lambda: check_mjx(full=full))
+    if task:
+        yield from examine_task(settings)
 
 
 def _port(transport: TransportSettings, *, joins: bool) -> tuple[Finding, Answer | None]:

@@ -14,7 +14,7 @@ from common.config.kinds import Count, Section
 from common.errors import SettingsError
 from common.learners import LEARNERS
 from common.suggestions import unknown_name
-from common.tasks import TASKS
+from common.tasks import task_fault
 
 SCALES = ("smoke", "laptop", "full")
 
@@ -95,8 +95,8 @@ class Experiment(Section):
     @classmethod
     def _known_tasks(cls, tasks: tuple[str, ...]) -> tuple[str, ...]:
         for task in tasks:
-            if task not in TASKS:
-                raise ValueError(unknown_name("task", task, TASKS))
+            if (fault := task_fault(task, None)) is not None:
+                raise ValueError(fault)
         return tasks
 
     @field_validator("scales")

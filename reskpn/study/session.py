@@ -6,8 +6,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from common.errors import SettingsError
-from common.suggestions import unknown_name
-from common.tasks import TASKS
+from common.tasks import task_fault
 from reskpn.study.experiments import Experiment
 from reskpn.study.planning import Trial, plan, with_needs
 from reskpn.study.running import Runner, Say, run_missing
@@ -35,8 +34,8 @@ def make_runs(
         LogWriteError, ProcessError: as `run_missing`.
     """
     for task in only.get("task", ()):
-        if task not in TASKS:
-            raise SettingsError(unknown_name("task", task, TASKS))
+        if (fault := task_fault(task, None)) is not None:
+            raise SettingsError(fault)
     experiments = [experiment for experiment in with_needs(names, catalogue) if experiment.needs_runs]
     made = 0
     while True:

@@ -9,10 +9,12 @@ from functools import partial
 from pathlib import Path
 
 from common.config.settings import TransportSettings
+from common.engine_names import MJX
 from common.errors import CodecError, PhysicsError, SessionError
 from common.maths.policy import Policy
 from common.memory import keep_large_blocks
 from common.physics.engines import require_synchronous_dispatch, resolve_physics
+from common.physics.mjx_differences import differences_of
 from common.physics.pinning import pinned
 from common.runtime import enable_compilation_cache, hardware, software_versions
 from common.wire.divergence import Divergence
@@ -102,6 +104,8 @@ def _work(
     say(
         f"joined {assignment.run} as slot {assignment.slot} (generation {assignment.generation}) with {physics} physics"
     )
+    for difference in differences_of(assignment.settings.task) if physics == MJX else ():
+        say(f"warning: physics mjx simulates another model: {difference}")
     try:
         finished = begin().work()
     except (AssignmentLost, SessionError) as error:

@@ -12,10 +12,12 @@ from typing import Any
 
 from common.config.settings import RunSettings
 from common.config.trackers import require_trackers
+from common.engine_names import MJX
 from common.errors import INTERRUPTED, ReskpnError
 from common.log.lock import LogLock
 from common.log.segments import LOG_DIRECTORY
 from common.memory import keep_large_blocks
+from common.physics.mjx_differences import differences_of
 from common.runs.directory import SUMMARY, claim_run_dir, write_settings
 from common.runtime import enable_compilation_cache
 from common.tasks import slug
@@ -86,6 +88,8 @@ def run_learner(
             trainer.restore(resumption.arrays)
         beginning = None if origin is None else _beginning(origin, resumption.run, trainer)
         outlets = stack.enter_context(_outlets(settings, run_dir, stop, resumption, lock, beginning))
+        for difference in differences_of(settings.task) if settings.physics == MJX else ():
+            outlets.events.add("warning", "mjx_differs", f"physics mjx simulates another model: {difference}")
         for note in (*notes, *resumption.notes):
             outlets.events.add("info", "resumed" if resume else "began_from", note)
         restore_points(outlets.scalars, run_dir)
