@@ -23,7 +23,6 @@ COMMANDS = {
     "export": "write the policy of a run as an ONNX file, or for JAX, verified against its log",
     "view": "show the trajectories of a recorded run in MuJoCo's web viewer, with a scrubber",
     "film": "make a film and a strip of pictures of a recorded run, or a file for Foxglove",
-    "evaluate": "play episodes of any version of a recorded run, without exploration",
     "tasks": "list the tasks, with their sizes and control time steps",
     "runs": "list the runs of a folder, and delete those that are no longer needed",
     "doctor": "check this machine before a run: versions, devices, memory, disk, port, clock, Zenoh, physics",

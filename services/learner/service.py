@@ -88,10 +88,7 @@ def run_learner(
             trainer.restore(resumption.arrays)
         beginning = None if origin is None else _beginning(origin, resumption.run, trainer)
         outlets = stack.enter_context(_outlets(settings, run_dir, stop, resumption, lock, beginning))
-        for difference in differences_of(settings.task) if settings.physics == MJX else ():
-            outlets.events.add("warning", "mjx_differs", f"physics mjx simulates another model: {difference}")
-        for note in (*notes, *resumption.notes):
-            outlets.events.add("info", "resumed" if resume else "began_from", note)
+        _announce(settings, outlets, "resumed" if resume else "began_from", [*notes, *resumption.notes])
         restore_points(outlets.scalars, run_dir)
         hub = _make_hub(settings, session, outlets, resumption, resuming)
         listener.watch(session, hub.connection_refused)
@@ -102,6 +99,14 @@ def run_learner(
         summary = _run_to_its_end(settings, loop, outlets, replay, checkpoints, began_s)
         _show_summary(summary, outlets, run_dir)
     return 0 if summary["complete"] else INTERRUPTED
+
+
+def _announce(settings: RunSettings, outlets: Outlets, name: str, notes: list[str]) -> None:
+    """Tell what the run begins with, and what MJX simulates otherwise if the run is to use it."""
+    for difference in differences_of(settings.task) if settings.physics == MJX else ():
+        outlets.events.add("warning", "mjx_differs", f"physics mjx simulates another model: {difference}")
+    for note in notes:
+        outlets.events.add("info", name, note)
 
 
 def _show_summary(summary: dict[str, Any], outlets: Outlets, run_dir: Path) -> None:
