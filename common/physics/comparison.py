@@ -15,7 +15,7 @@ ENVIRONMENTS = 4
 
 @dataclass(frozen=True)
 class Track:
-    """What an engine made of the first states and the actions, by step: qpos, qvel and reward [t, N, ...].
+    """One engine's results from the first states under the actions, by step: qpos, qvel and reward [t, N, ...].
 
     `steps` [N]: until an episode ended, at which the comparison does.
     """
