@@ -34,7 +34,7 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, RunSettings, bool]
     """Instead of running: which command began, with which settings, and whether it resumes."""
     calls: list[tuple[str, RunSettings, bool]] = []
 
-    def train(settings: RunSettings, *, resume: object = None, skip_batch: bool = False) -> int:
+    def train(settings: RunSettings, *, resume: object = None, skip_batch: bool = False, page: bool = False) -> int:
         calls.append(("train without a batch" if skip_batch else "train", settings, resume is not None))
         return 0
 
