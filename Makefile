@@ -15,7 +15,7 @@ INVERTED_PENDULUM := --num-envs 1024 --num-steps 20 --total-steps 1.5e6
 CHAOS_POINTS ?= 20
 CHAOS_SEED ?=
 
-.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench bench-compare paper-smoke lock clean
+.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench paper-smoke lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -61,9 +61,6 @@ lint: setup  ## style, types and import rules
 bench: setup  ## speed of the service, where the time goes, and what the RKHS part costs; ARGS="--task humanoid" UPDATE_ARGS="--only rff"
 	@$(BIN)/python -m benchmarks.service $(ARGS)
 	@$(BIN)/python -m benchmarks.update $(UPDATE_ARGS)
-
-bench-compare: setup  ## what became slower than the committed results, by ratios within one run
-	@$(BIN)/python -m benchmarks.regressions $(ARGS)
 
 paper-smoke: setup  ## every experiment of the paper, very small, run and drawn: whether all of it works, in a few minutes
 	@rm -rf build/paper-smoke

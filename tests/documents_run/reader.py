@@ -20,20 +20,23 @@ from common.wire.endpoint import free_port
 from tests.documents.commands import ROOT, Shown, shown_commands
 from tests.integration.small_runs import TICK
 
+TASK, UPDATES = "halfcheetah", 12
+"""Of the run that a reader has: its episodes do not end early."""
+
 SMALL = {
     "RESKPN_NUM_ENVS": "32",
     "RESKPN_NUM_STEPS": "8",
-    "RESKPN_TOTAL_STEPS": str(12 * 256),
+    "RESKPN_TOTAL_STEPS": str(UPDATES * 256),
     "RESKPN_ACTORS": "1",
     "RESKPN_PHYSICS": "native",
-    "RESKPN_EPISODE_LENGTH": "40",
+    "RESKPN_EPISODE_LENGTH": "80",
     "RESKPN_ALGORITHM__HIDDEN": "[16,16]",
     "RESKPN_ALGORITHM__MINIBATCHES": "4",
     "RESKPN_ALGORITHM__EPOCHS": "2",
     "RESKPN_RKHS__CAPACITY": "64",
     "RESKPN_EVALUATION__EPISODES": "4",
 }
-TRAINING = ["--num-envs", "32", "--num-steps", "8", "--total-steps", str(12 * 256)]
+TRAINING = ["--num-envs", "32", "--num-steps", "8", "--total-steps", str(UPDATES * 256)]
 """After a page's own sizes, which they replace."""
 
 LEARNER_STEPS = str(100_000 * 256)
@@ -51,6 +54,9 @@ SERVES = {
 
 NOT_RUN = {
     "paper run": "hours: `make paper-smoke` runs it at the scale smoke",
+    "film --span": "seconds of a policy that was trained for longer: tests/reskpn/viewing",
+    "film --diverged": "no simulation of a small run diverges: tests/reskpn/viewing",
+    "view --diverged": "no simulation of a small run diverges: tests/reskpn/viewing",
     "doctor --full": "compiles MJX for a minute: tests/reskpn/doctor does",
     "sweep": "runs of full size: tests/reskpn/study has small ones",
     "runs --delete": "asks a person: tests/reskpn/commands answers it",
@@ -83,12 +89,23 @@ class Reader:
         for host in ("10.0.0.5:7447", "router.example:7447"):
             text = text.replace(host, "127.0.0.1:7447")
         text = re.sub(r"learner\.example,10\.0\.0\.5|router\.example", "127.0.0.1", text)
-        text = re.sub(r"runs/(NAME|x|hopper-reskpn-\S+|\.\.\.)", str(self.run), text)
         text = text.replace("/0.0.0.0:", "/127.0.0.1:")
-        words = shlex.split(text, comments=True)
+        # The page's run may have more versions than the small one, and another task.
+        text = re.sub(r"--version \d+", "--version 10", text)
+        text = re.sub(r"\bhopper-reskpn-v\d+\.", f"{TASK}-reskpn-v{UPDATES}.", text)
+        if " play " in text:
+            text = text.replace("--task hopper", f"--task {TASK}")
+        words = [word for word in shlex.split(text, comments=True) if word != "..."]
         while "=" in words[0]:
             words.pop(0)
-        return [re.sub(r"^RUN(?=@|$)", str(self.run), places.get(word, word)) for word in words[1:]]
+        fresh = "train" in words and "--resume" not in words
+        return [self._place(re.sub(r"^RUN(?=@|$)", run, places.get(word, word)), fresh) for word in words[1:]]
+
+    def _place(self, word: str, fresh: bool) -> str:
+        """A run of the page: the one that was made here under this name, or the small one."""
+        if re.fullmatch(r"runs/[^/]+", word) and not fresh and not (self.folder / word).is_dir():
+            return str(self.run)
+        return word
 
     def learner_port(self) -> int:
         """The port of a learner with an actor, started when a page first speaks of HOST:PORT."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.documents.commands import ROOT, shown_commands
-from tests.documents_run.reader import SMALL, Reader, clean_environment, left_out, of_page
+from tests.documents_run.reader import SMALL, TASK, Reader, clean_environment, left_out, of_page
 
 PAGES = sorted({one.page for one in shown_commands() if one.program == "reskpn" and one.in_block})
 pytestmark = pytest.mark.timeout(1200)
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.timeout(1200)
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished run, as the reader has it from the first page."""
     made: Path = tmp_path_factory.mktemp("reader") / "runs" / "x"
-    command = [sys.executable, "-m", "reskpn", "train", "--run-dir", str(made)]
+    command = [sys.executable, "-m", "reskpn", "train", "--task", TASK, "--run-dir", str(made)]
     subprocess.run(command, cwd=made.parents[1], env=clean_environment() | SMALL, check=True, timeout=300.0)
     return made
 
