@@ -47,7 +47,7 @@ def _side_sites(model: mujoco.MjModel) -> Iterator[str]:
         if any(model.wrap_type[wrap] in _WRAPPED and model.wrap_prm[wrap] >= 0 for wrap in wraps):
             names.append(model.tendon(tendon).name or str(tendon))
     if names:
-        yield f"tendon {_listed(names)}: with a sidesite, MJX takes another path around the geom for some positions"
+        yield f"tendon {_listed(names)}: with a sidesite, MJX may take another path around the geom"
 
 
 def _yielding_springs(model: mujoco.MjModel) -> Iterator[str]:
