@@ -45,7 +45,10 @@ def task_model(task: str) -> mujoco.MjModel:
 
 def step_seconds(task: str) -> float:
     """The simulated seconds of one environment step of any task. Raises as `task_model`."""
-    return float(load_task(task).dt) if task in TASKS else load_definition(task).step_s
+    if task not in TASKS:
+        return load_definition(task).step_s
+    # brax holds it in float32: the shortest number that is the same there is the one that was meant.
+    return float(str(np.float32(load_task(task).dt)))
 
 
 def c_model(environment: Any) -> mujoco.MjModel:
