@@ -47,6 +47,14 @@ def test_the_folders_that_tell_the_architecture(folder: str) -> None:
     assert any(path.is_file() for path in (ROOT / folder).rglob("*"))
 
 
+def test_test_modules_have_names_of_their_own() -> None:
+    """pytest imports them by their file's name alone: of two with one name, the one that comes second is an error."""
+    packaged = {path.parent for path in (ROOT / "tests").rglob("__init__.py")}
+    paths = [path for path in (ROOT / "tests").rglob("test_*.py") if path.parent not in packaged]
+    alike = [path for path in paths if sum(other.name == path.name for other in paths) > 1]
+    assert not alike
+
+
 def test_who_may_import_whom() -> None:
     """Every contract of pyproject.toml is kept."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]

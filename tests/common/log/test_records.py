@@ -25,9 +25,9 @@ def nodes(schema: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
 
 
 def test_json_channels_have_a_schema_and_msgpack_channels_none() -> None:
-    """Rollouts, policies and environments are opaque bytes; everything else says what it holds."""
+    """Rollouts, policies, environments and recorded motion are opaque bytes; everything else says what it holds."""
     opaque = {topic for topic, channel in CHANNELS.items() if channel.schema is None}
-    assert opaque == {"/rollout", "/policy", "/environment"}
+    assert opaque == {"/rollout", "/policy", "/environment", "/motion", "/divergence"}
     assert all((channel.encoding == "json") == (channel.schema is not None) for channel in CHANNELS.values())
 
 

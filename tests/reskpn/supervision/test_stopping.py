@@ -57,6 +57,14 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
 Start = Callable[..., "subprocess.Popen[str]"]
 
 
+@pytest.fixture(autouse=True)
+def hangups_are_not_ignored() -> Iterator[None]:
+    """As in a terminal, also where the tests themselves run under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_sets_the_event(number: signal.Signals) -> None:
     """SIGINT by Ctrl-C, SIGTERM by a container's end, SIGHUP by a closed terminal; then the old handlers are back."""
