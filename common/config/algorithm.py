@@ -44,6 +44,8 @@ class AlgorithmSettings(Section):
     """widths of the tanh layers of the feature network and the critic; the last is the feature size d"""
     precision: Literal["float32", "bfloat16", "auto"] = "float32"
     """of the hidden layers' matrix products; auto: bfloat16 where the learner's device multiplies it faster"""
+    devices: Count = 1
+    """devices of the learner that share the work of every minibatch"""
     normalise_observations: bool = True
     """normalise observations by their running mean and variance"""
     normalise_rewards: bool = True

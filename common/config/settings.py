@@ -154,6 +154,11 @@ class RunSettings(Section):
                 f"divided into {minibatches} minibatches; try algorithm.minibatches "
                 f"{_nearest_divisor(batch, minibatches)}"
             )
+        if batch // minibatches % self.algorithm.devices:
+            raise ValueError(
+                f"algorithm.devices ({self.algorithm.devices}) must divide a minibatch, of {batch // minibatches} "
+                f"transitions (num_envs {self.num_envs} x num_steps {self.num_steps} over {minibatches} minibatches)"
+            )
         if batch == minibatches:
             # Advantages are normalised within a minibatch: that of a single transition is 0, and teaches nothing.
             raise ValueError(

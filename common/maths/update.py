@@ -40,6 +40,8 @@ class Update:
     step: FunctionalStep
     critic: KernelCritic
     diagnostics: Diagnostics
+    rows_on: jax.sharding.Sharding | None = None
+    """Devices of the rows of minibatches, [minibatches, rows]; None for one device."""
 
     @property
     def representation(self) -> Representation[Any, Any]:
@@ -223,6 +225,9 @@ class Update:
         # One sort of random words; jax.random.permutation sorts twice, which shows in the time of an update.
         words = jax.random.bits(key, (self.algorithm.epochs, count))
         rows = jnp.argsort(words, axis=1).reshape(-1, count // parts)
+        if self.rows_on is not None:
+            # Everything else lies on every device: gradients of parts of a minibatch are all that is exchanged.
+            rows = jax.lax.with_sharding_constraint(rows, self.rows_on)
         (parameters, optimiser), metrics = jax.lax.scan(minibatch, (state.parameters, state.optimiser), rows)
         return parameters, optimiser, {f"train/{name}": jnp.mean(values) for name, values in metrics.items()}
 

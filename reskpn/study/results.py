@@ -106,6 +106,8 @@ def relevant(settings: RunSettings) -> dict[str, Any]:
         del values["critic"]
     if settings.algorithm.precision == "float32":
         del values["algorithm"]["precision"]  # as results from before there was a choice
+    if settings.algorithm.devices == 1:
+        del values["algorithm"]["devices"]
     return values
 
 

@@ -6,10 +6,13 @@ The same calls serve a live run, an in-process benchmark and a replay, so a log 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import NamedSharding
 
 from common.config.settings import RunSettings
 from common.errors import NumericsError
@@ -24,6 +27,7 @@ from common.precision import chosen_precision
 from common.wire.messages import digest_arrays
 from common.wire.rollout import Rollout
 from services.learner.training.batches import assemble
+from services.learner.training.devices import by_row, device_mesh, everywhere
 from services.learner.training.sampling import sampling_problem
 
 FINITE = "finite/"
@@ -54,7 +58,13 @@ class Trainer:
             seed=settings.seed,
             critic=self._iteration.critic.empty(),
         )
-        self._update: Callable[[LearnerState, Batch], tuple[LearnerState, Metrics]] = jax.jit(self._iteration)
+        self._everywhere: NamedSharding | None = None
+        if settings.algorithm.devices > 1:
+            mesh = device_mesh(settings.algorithm.devices)
+            self._everywhere = everywhere(mesh)
+            self._iteration = replace(self._iteration, rows_on=by_row(mesh))
+            self._state = jax.device_put(self._state, self._everywhere)
+        self._update: Callable[[LearnerState, Batch], tuple[LearnerState, Metrics]] = self._jitted()
         self._version = 0
 
     @property
@@ -65,7 +75,13 @@ class Trainer:
     def compile(self) -> None:
         """Compile the update for the run's shapes now, so that the first one does not wait for it."""
         batch = jax.eval_shape(lambda: _empty_batch(self._settings))
-        self._update = jax.jit(self._iteration).lower(self._state, batch).compile()
+        self._update = self._jitted().lower(self._state, batch).compile()
+
+    def _jitted(self) -> Any:
+        """The update, compiled when it is called or lowered."""
+        if self._everywhere is None:
+            return jax.jit(self._iteration)
+        return jax.jit(self._iteration, in_shardings=self._everywhere, out_shardings=self._everywhere)
 
     def update(self, rollouts: Sequence[Rollout]) -> dict[str, float]:
         """Apply one update; returns its metrics by name.
@@ -74,7 +90,10 @@ class Trainer:
             NumericsError: a part of the new state is not finite, or its policy cannot be sampled from. The state stays
                 as it was.
         """
-        state, metrics = self._update(self._state, assemble(rollouts))
+        batch = assemble(rollouts)
+        if self._everywhere is not None:
+            batch = jax.device_put(batch, self._everywhere)
+        state, metrics = self._update(self._state, batch)
         metrics, log_std = jax.device_get((metrics, state.policy.parameters["log_std"]))
         values = {name: float(value) for name, value in metrics.items()}
         broken = [name.removeprefix(FINITE) for name, value in values.items() if name.startswith(FINITE) and not value]
@@ -108,7 +127,7 @@ class Trainer:
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Go on from the state of a checkpoint; CodecError where it does not fit the settings."""
-        self._adopt(jax.device_put(trees.from_arrays(self._state, arrays)))
+        self._adopt(jax.device_put(trees.from_arrays(self._state, arrays), self._everywhere))
 
     def _adopt(self, state: LearnerState) -> None:
         self._state = state
