@@ -60,6 +60,7 @@ NOT_RUN = {
     "doctor --full": "compiles MJX for a minute: tests/reskpn/doctor does",
     "sweep": "runs of full size: tests/reskpn/study has small ones",
     "runs --delete": "asks a person: tests/reskpn/commands answers it",
+    "train --track": "needs wandb or trackio: tests/services/learner/reporting",
     "train --dashboard": "tests/pages has it, in a browser",
 }
 """Commands that are left out here, each with where it is run instead."""
@@ -84,6 +85,7 @@ class Reader:
         run = str(self.run)
         places = {"RUN": run, "RUN_DIR": run, "DIR": "made", "NAME": self.run.name, "FILE": "made.txt"}
         text = shown.text
+        text = text.replace("tcp/learner:7447", "tcp/HOST:PORT")
         if "HOST:PORT" in text:
             text = text.replace("HOST:PORT", f"127.0.0.1:{self.learner_port()}")
         for host in ("10.0.0.5:7447", "router.example:7447"):
@@ -91,7 +93,7 @@ class Reader:
         text = re.sub(r"learner\.example,10\.0\.0\.5|router\.example", "127.0.0.1", text)
         text = text.replace("/0.0.0.0:", "/127.0.0.1:")
         # The page's run may have more versions than the small one, and another task.
-        text = re.sub(r"--version \d+", "--version 10", text)
+        text = re.sub(r"--version \d+", f"--version {UPDATES}", text)
         text = re.sub(r"\bhopper-reskpn-v\d+\.", f"{TASK}-reskpn-v{UPDATES}.", text)
         if " play " in text:
             text = text.replace("--task hopper", f"--task {TASK}")
