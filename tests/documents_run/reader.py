@@ -60,6 +60,7 @@ NOT_RUN = {
     "doctor --full": "compiles MJX for a minute: tests/reskpn/doctor does",
     "sweep": "runs of full size: tests/reskpn/study has small ones",
     "runs --delete": "asks a person: tests/reskpn/commands answers it",
+    "actor --task": "`reskpn train` on the same page starts its actors like that",
     "train --track": "needs wandb or trackio: tests/services/learner/reporting",
     "train --dashboard": "tests/pages has it, in a browser",
 }

@@ -35,6 +35,7 @@ def test_a_page(page: str, run: Path, tmp_path: Path) -> None:
     shutil.copytree(run, copied)
     for beside in ("docs", "examples"):  # a reader stands in a copy of the tree
         shutil.copytree(ROOT / beside, folder / beside)
+    shutil.copytree(ROOT / "examples", folder, dirs_exist_ok=True)  # the page of tasks is read in there
     (folder / "users.txt").write_text("actor:one\nviewer:two\n")
     (folder / "actor.txt").write_text("actor:one\n")
     reader = Reader(folder, elsewhere, copied, clean_environment())
