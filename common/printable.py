@@ -19,6 +19,11 @@ def shortened(incarnation: str) -> str:
     return incarnation[:8] if _SECRET.fullmatch(incarnation) else incarnation
 
 
+def shortened_within(text: str) -> str:
+    """The text with every incarnation in it shortened."""
+    return re.sub(rf"\b{_SECRET.pattern}\b", lambda found: f"{shortened(found.group())}...", text)
+
+
 def quoted(value: object, limit: int = 60) -> str:
     """A value that came over the network, for an error text: its repr, of at most `limit` characters of it.
 

@@ -1,10 +1,21 @@
-"""MuJoCo's own warnings, sent where a program wants them."""
+"""MuJoCo's own warnings: which of them mean that a simulation diverged, and where all of them are sent."""
 
 from __future__ import annotations
 
 import logging
 
 import mujoco
+
+DIVERGED = [
+    int(warning)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+        mujoco.mjtWarning.mjWARN_BADCTRL,
+    )
+]
+"""Warnings after which a simulation has diverged: MuJoCo reset its state or dropped its commands."""
 
 _LOG = logging.getLogger("mujoco")
 

@@ -17,18 +17,8 @@ from common.cores import usable_cores
 from common.errors import PhysicsError
 from common.physics.bodies import FrameLayout, Layout, Scales
 from common.physics.engines import NATIVE
+from common.physics.mujoco_log import DIVERGED
 from common.physics.randomisation import scaled_fields
-
-_LOST = [
-    int(warning)
-    for warning in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-        mujoco.mjtWarning.mjWARN_BADCTRL,
-    )
-]
-"""Warnings after which a simulation has diverged: MuJoCo reset its state or dropped its commands."""
 
 
 class NativeEngine:
@@ -122,7 +112,7 @@ class NativeEngine:
             pass  # `status` says which simulations failed; all others ran to the end
         finally:
             self._seconds += time.perf_counter() - started
-        return (batch.status != 0) | batch.warning[:, _LOST, 1].any(axis=1)
+        return (batch.status != 0) | batch.warning[:, DIVERGED, 1].any(axis=1)
 
 
 class _BatchArrays:

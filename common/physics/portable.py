@@ -12,17 +12,7 @@ import mujoco
 import numpy as np
 
 from common.errors import PhysicsError
-from common.physics.mujoco_log import log_instead_of_printing
-
-_DIVERGED = [
-    int(warning)
-    for warning in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-        mujoco.mjtWarning.mjWARN_BADCTRL,
-    )
-]
+from common.physics.mujoco_log import DIVERGED, log_instead_of_printing
 
 Fields = Mapping[str, np.ndarray]
 """Fields of MuJoCo's data by name, float32."""
@@ -101,7 +91,7 @@ class Simulation:
         self._steps += 1
         self._fields = self._read()
         obs, reward, terminated = self._functions.outcome(before, action, self._fields)
-        if any(self._data.warning[warning].number for warning in _DIVERGED):
+        if any(self._data.warning[warning].number for warning in DIVERGED):
             return obs, 0.0, True
         return obs, reward, terminated or self._steps >= self._task.episode_length
 

@@ -99,7 +99,7 @@ def _state(path: Path, names: set[str], summary: dict[str, Any] | None, locked: 
         if (path / LOG_DIRECTORY / LOCK).stat().st_ino in locked:
             return "running"
     except OSError:
-        pass
+        pass  # no lock: nothing has written a log here
     if summary is not None and summary.get("complete") is True:
         return "finished"
     return "stopped" if SETTINGS in names else "starting"

@@ -17,9 +17,9 @@ from common.runs.directory import claim_run_dir
 from common.runs.listing import read_summary
 from common.wire.credentials import Credentials
 from common.wire.report import Progress
+from common.wire.status_request import ask, connect
 from reskpn.api.run import Run, open_run
 from reskpn.commands.settings_options import own_task
-from reskpn.commands.status import ask, connect
 from reskpn.supervision.supervisor import refuse_certificates, resolved, supervise
 
 __all__ = ["Progress", "train"]

@@ -6,7 +6,6 @@ import argparse
 import json
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,7 +47,7 @@ def run(given: argparse.Namespace) -> int:
     from common.physics.engines import require_synchronous_dispatch
     from common.runs.recorded_run import open_run
     from common.runtime import enable_compilation_cache
-    from reskpn.commands.replay import progress_bar
+    from reskpn.commands.replay import recomputing
     from services.learner.training.trainer import Trainer
     from services.replay.policies import recorded_policy
     from services.worker.deterministic import DeterministicEpisodes
@@ -58,15 +57,7 @@ def run(given: argparse.Namespace) -> int:
     confirm_task(recorded.settings, given.task)
     enable_compilation_cache()
     require_synchronous_dispatch()
-    with ExitStack() as stack:
-        bar = progress_bar()
-        task = bar.add_task("recomputing", total=given.version)
-
-        def on_update(version: int) -> None:
-            if not bar.live.is_started:
-                stack.enter_context(bar)
-            bar.update(task, completed=version)
-
+    with recomputing(given.version) as on_update:
         found = recorded_policy(recorded, given.version, lambda: Trainer(recorded.settings), on_update)
     settings = _played_settings(recorded.settings, given)
     reader = PolicyReader(recorded.settings)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,7 +48,7 @@ def run(given: argparse.Namespace) -> int:
     _check(given)
     from common.runs.recorded_run import open_run
     from common.runtime import enable_compilation_cache
-    from reskpn.commands.replay import progress_bar
+    from reskpn.commands.replay import recomputing
     from reskpn.export.policy import trained_policy
     from reskpn.export.verify import logged_observations
     from reskpn.export.write import write_policy
@@ -57,15 +56,7 @@ def run(given: argparse.Namespace) -> int:
     recorded = open_run(given.path)
     confirm_task(recorded.settings, given.task)
     enable_compilation_cache()
-    with ExitStack() as stack:
-        bar = progress_bar()
-        task = bar.add_task("recomputing", total=given.version)
-
-        def on_update(version: int) -> None:
-            if not bar.live.is_started:
-                stack.enter_context(bar)
-            bar.update(task, completed=version)
-
+    with recomputing(given.version) as on_update:
         policy = trained_policy(recorded, given.version, on_update)
     written = write_policy(policy, logged_observations(recorded), given.format, given.out or _default(policy, given))
     for line in _lines(policy, written):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from rich.console import Console
@@ -213,6 +214,21 @@ def progress_bar() -> Progress:
         console=Console(stderr=True, highlight=False),
         transient=True,
     )
+
+
+@contextmanager
+def recomputing(total: int | None) -> Iterator[Callable[[int], None]]:
+    """A function to call with each version that was recomputed; a bar is on the screen from the first one on."""
+    with ExitStack() as stack:
+        bar = progress_bar()
+        task = bar.add_task("recomputing", total=total)
+
+        def on_update(version: int) -> None:
+            if not bar.live.is_started:
+                stack.enter_context(bar)
+            bar.update(task, completed=version)
+
+        yield on_update
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

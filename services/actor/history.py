@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic
 
 import jax
 import numpy as np
@@ -16,10 +16,7 @@ from jax import Array
 
 from common.wire.divergence import STEPS_BEFORE
 from common.wire.motion import Motion
-from services.actor.rollouts import Trajectory
-
-Numbers = TypeVar("Numbers", Array, np.ndarray)
-"""Arrays on the device or on the host."""
+from services.actor.rollouts import Numbers, Trajectory
 
 
 @jax.tree_util.register_dataclass

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from typing import Any
 
-from common.printable import printable, shortened
+from common.printable import printable, shortened, shortened_within
 
 METRICS = (
     "train/policy_loss",
@@ -29,8 +28,6 @@ STALENESS = ("mean", "max")
 PHASES = ("wait", "learner", "publish", "record", "log", "actor/physics", "actor/collect", "actor/push")
 
 LONGEST_EVENT = 400
-
-_IDENTITY = re.compile(r"\b[0-9a-f]{32,}\b")
 
 
 def number(value: object) -> float | None:
@@ -74,7 +71,7 @@ def evaluation_point(record: Mapping[str, Any]) -> dict[str, Any] | None:
 
 def event_line(record: Mapping[str, Any], t_ns: int) -> dict[str, Any]:
     """An `/event` record as a line with its Unix time in seconds; whole incarnations are secrets and are shortened."""
-    told = _IDENTITY.sub(lambda match: f"{match.group()[:8]}...", text(record.get("text"), LONGEST_EVENT))
+    told = shortened_within(text(record.get("text"), LONGEST_EVENT))
     return {"t_s": round(t_ns / 1e9, 1), "level": text(record.get("level"), 10), "text": told}
 
 

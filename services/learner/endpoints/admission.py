@@ -8,15 +8,26 @@ from __future__ import annotations
 from common.engine_names import PHYSICS
 from common.errors import CodecError
 from common.printable import quoted, shortened
+from common.wire.divergence import Divergence
 from common.wire.keys import Keys
-from common.wire.messages import Evaluation, Heartbeat, Join
+from common.wire.messages import Environment, Evaluation, Heartbeat, Join
 from services.learner.scheduling.fleet import Fleet
+from services.learner.scheduling.slots import Member
 
 
 def check_join(join: Join) -> None:
     """Raises CodecError for an unknown physics engine: its name is shown, logged and kept in the summary."""
     if join.physics not in PHYSICS:
         raise CodecError("bad_value", f"physics is {quoted(join.physics)}; allowed: {', '.join(PHYSICS)}")
+
+
+def check_holder(fleet: Fleet, run: str, sent: Environment | Divergence) -> Member:
+    """The member that holds the message's slot. Raises CodecError where its sender does not, or is of another run."""
+    member = fleet.holder(sent.slot, sent.incarnation)
+    if member is None or sent.run != run:
+        shown = quoted(shortened(sent.incarnation))
+        raise CodecError("incarnation", f"slot {sent.slot} is not held by {shown}; join again")
+    return member
 
 
 def check_heartbeat(fleet: Fleet, keys: Keys, key: str, beat: Heartbeat) -> None:

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from common.config.settings import RunSettings
 from common.errors import CodecError, LogWriteError
 from common.log.writer import LogWriter
-from common.printable import quoted, shortened
 from common.wire.divergence import Divergence
 from common.wire.keys import Keys
 from common.wire.messages import ACCEPTED, PushReply
 from common.wire.session import Request
+from services.learner.endpoints.admission import check_holder
 from services.learner.endpoints.motions import motion_sizes
 from services.learner.endpoints.rate_limit import RateLimit
 from services.learner.endpoints.replies import LOG_FAILED, QUEUE_FULL
@@ -90,11 +90,7 @@ class DivergenceHandler:
         if key != self._keys.divergence(given.slot):
             raise CodecError("bad_key", f"a divergence of slot {given.slot} was pushed on {key}")
         with self._changed:
-            held = self._fleet.holds(given.slot, given.incarnation)
-        if not held or given.run != self._run:
-            raise CodecError(
-                "incarnation", f"slot {given.slot} is not held by {quoted(shortened(given.incarnation))}; join again"
-            )
+            check_holder(self._fleet, self._run, given)
         if given.step >= self._steps or given.env >= self._envs:
             raise CodecError(
                 "bad_value",

@@ -9,10 +9,10 @@ from common.config.settings import RunSettings
 from common.errors import CodecError, LogWriteError
 from common.log.writer import LogWriter
 from common.physics.state_shapes import state_shapes
-from common.printable import quoted, shortened
 from common.wire.keys import Keys
 from common.wire.messages import ACCEPTED, Environment, PushReply
 from common.wire.session import Request
+from services.learner.endpoints.admission import check_holder
 from services.learner.endpoints.environment_checks import EnvironmentChecks
 from services.learner.endpoints.replies import LOG_FAILED, QUEUE_FULL
 from services.learner.scheduling.fleet import Fleet
@@ -112,11 +112,7 @@ class EnvironmentHandler:
 
     def _admit(self, given: Environment) -> PushReply | None:
         """None where the state is to be logged and kept. CodecError where it is not wanted."""
-        fleet, member = self._fleet, self._fleet.holder(given.slot, given.incarnation)
-        if member is None or given.run != self._run:
-            raise CodecError(
-                "incarnation", f"slot {given.slot} is not held by {quoted(shortened(given.incarnation))}; join again"
-            )
+        fleet, member = self._fleet, check_holder(self._fleet, self._run, given)
         if given.version != fleet.version or not fleet.hand_in:
             raise CodecError("stale", f"environments of version {given.version} are not wanted now")
         if given.slot in self._states:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from common.config.settings import RunSettings
+from common.files import open_to_read
 from common.log.failures import write_failure
 from common.log.segments import LOG_DIRECTORY, list_segments, sync_directory
 from common.runs.directory import KEPT_CHECKPOINTS
@@ -51,7 +52,8 @@ class Retention:
             return
         try:
             # A loss of power must not take the update that the checkpoint is confirmed by.
-            _sync(segments[-1])
+            with open_to_read(segments[-1]) as file:
+                os.fsync(file.fileno())
             for path in segments[:first]:  # the oldest first: killed in between, no gap is left
                 path.unlink()
             sync_directory(segments[0].parent)
@@ -68,11 +70,3 @@ class Retention:
         if self._settings.mode == "sync":
             paths = [path for path in paths if path.with_suffix(ENVIRONMENTS).exists()]
         return [int(path.stem) for path in paths]
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

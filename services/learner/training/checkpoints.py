@@ -19,6 +19,7 @@ import numpy as np
 
 from common.errors import CheckpointError, CodecError
 from common.files import create, read_bytes
+from common.log.segments import sync_directory
 from common.runs.directory import CHECKPOINTS, KEPT_CHECKPOINTS
 from common.wire.codec import Limits
 from common.wire.messages import Snapshot, digest_arrays
@@ -129,7 +130,7 @@ def _write(path: Path, content: Snapshot) -> None:
             file.flush()
             os.fsync(file.fileno())
         beside.replace(path)
-        _sync(path.parent)
+        sync_directory(path.parent)
     except OSError as error:
         with contextlib.suppress(OSError):
             beside.unlink()
@@ -158,11 +159,3 @@ def _drop_old(run_dir: Path, kept: int) -> None:
             old.unlink(missing_ok=True)
         except OSError as error:
             raise _failure(old, error) from None
-
-
-def _sync(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
