@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from common.errors import LogReadError, PhysicsError, SettingsError
+from common.physics.mujoco_log import log_instead_of_printing
 from reskpn.viewing.footage import Footage, Take
 
 AUTO = "auto"
@@ -56,6 +57,7 @@ class Scene:
     """
 
     def __init__(self, footage: Footage, takes: list[Take]) -> None:
+        log_instead_of_printing()
         try:
             # MuJoCo looks for the files of a model by their bare names.
             files = {PurePosixPath(name).name: data for name, data in footage.files.items()}

@@ -56,6 +56,18 @@ def test_a_model_with_a_mesh_has_its_files_in_the_log(tmp_path: Path) -> None:
     assert Scene(footage, list(footage.evaluated)).model.nmesh == 1
 
 
+def test_warnings_of_a_model_leave_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """MuJoCo would print that this attribute is deprecated, and write it to a file in the user's folder."""
+    monkeypatch.chdir(tmp_path)
+    old = MJCF.replace("<worldbody>", '<compiler settotalmass="14"/><worldbody>', 1)
+    footage = read_footage(write_log(tmp_path / "run", ("/motion", motions(0, [3])), mjcf=old))
+    Scene(footage, list(footage.evaluated))
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    assert capfd.readouterr().err == ""
+
+
 def test_models_that_do_not_fit(tmp_path: Path) -> None:
     """One that MuJoCo refuses, and one of another robot."""
     broken = read_footage(write_log(tmp_path / "a", ("/motion", motions(0, [3])), mjcf="<mujoco><joint/></mujoco>"))
