@@ -22,6 +22,7 @@ _WITHOUT_EFFECT = (
     "JAX_DEBUG_LOG",
     "JAX_TRACEBACK",
     "XLA_PYTHON_CLIENT",
+    "XLA_CLIENT_MEM_FRACTION",
 )
 """Beginnings of names that choose caches, messages and memory, not numbers."""
 

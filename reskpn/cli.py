@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
+from common.device_memory import ON_DEMAND, reserve
 from common.errors import ReskpnError
 from common.output import forget, say
 from reskpn.commands.command import Command, refuse_unknown_options
@@ -46,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code. This package's errors are printed as a sentence, without a traceback."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = _chosen(words)
+    reserve(ON_DEMAND)
     try:
         given, command = parse(words)
         code: int = command.run(given)

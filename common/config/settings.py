@@ -15,6 +15,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from common.config import critic as critics
 from common.config.algorithm import AlgorithmSettings
 from common.config.critic import CriticSettings
+from common.config.device_memory import DeviceMemorySettings
 from common.config.kinds import (
     Count,
     Names,
@@ -110,6 +111,7 @@ class RunSettings(Section):
     transport: TransportSettings = TransportSettings()
     log: LogSettings = LogSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
+    device_memory: DeviceMemorySettings = DeviceMemorySettings()
 
     @model_validator(mode="before")
     @classmethod

@@ -35,7 +35,15 @@ PRESETS = ("paper", "fast")
 OTHER_VARIABLES = frozenset({"RESKPN_CACHE_DIR", "RESKPN_DASHBOARD_TOKEN"})
 """Variables with the prefix that are not settings of a run."""
 
-METAVARS = {"bool": "true|false", "float": "X", "int": "N", "str": "NAME", "Path": "PATH", "{int,batch}": "N|batch"}
+METAVARS = {
+    "bool": "true|false",
+    "float": "X",
+    "int": "N",
+    "str": "NAME",
+    "Path": "PATH",
+    "{int,batch}": "N|batch",
+    "{float,on-demand}": "X|on-demand",
+}
 """Placeholders of options by type; those of lists are below, and choices stand as they are."""
 
 

@@ -17,7 +17,10 @@ from common.log.segments import LOG_DIRECTORY, list_segments, unreadable
 from common.runs.directory import SETTINGS, SUMMARY
 from common.runs.needed_segments import read_tally
 
-MAY_CHANGE = ("transport.", "total_steps", "run_dir", "log.signing_key", "log.keep", "track")
+KEPT_APART = ("transport.", "run_dir", "log.signing_key", "log.keep", "track", "device_memory")
+"""Settings, or sections of them, that say where and how a run is kept and computed, not which run it is."""
+
+MAY_CHANGE = (*KEPT_APART, "total_steps")
 """Settings, or sections of them, that do not affect what a run learns from the experience it has collected."""
 
 
@@ -123,8 +126,7 @@ def _beside_says_other(path: Path, settings: RunSettings) -> bool:
 
 def _same(recorded: RunSettings, given: RunSettings) -> bool:
     pairs = _differences(recorded.model_dump(mode="json"), given.model_dump(mode="json"))
-    kept = ("transport.", "run_dir", "log.signing_key", "log.keep", "track")
-    return all(name.startswith(kept) for name, _, _ in pairs)
+    return all(name.startswith(KEPT_APART) for name, _, _ in pairs)
 
 
 def _began_ns(run_dir: Path) -> int:

@@ -12,6 +12,7 @@ from typing import Any
 from common.config.settings import RunSettings
 from common.config.sources import parse_json
 from common.config.trackers import require_trackers
+from common.device_memory import require_room
 from common.errors import CodecError, ProcessError, SettingsError, WireError
 from common.runs.directory import claim_run_dir
 from common.runs.listing import read_summary
@@ -49,6 +50,7 @@ def train(
     """
     chosen = own_task(_settings(task=task, learner=learner, **settings), task)
     refuse_certificates(chosen)
+    require_room(chosen)
     require_trackers(chosen.track)
     chosen = resolved(chosen.model_copy(update={"run_dir": claim_run_dir(chosen)}))
     assert chosen.run_dir is not None

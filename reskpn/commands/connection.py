@@ -75,7 +75,9 @@ def add_worker_options(parser: argparse.ArgumentParser, verb: str, service: str)
         help="task of your own that this process may import, where the run is of it; others are not run",
     )
     parser.add_argument(
-        "--config", metavar="FILE", help="YAML file of settings; only its transport section and its task are used"
+        "--config",
+        metavar="FILE",
+        help="YAML file of settings; only its transport section, its task, physics and device_memory.actor are used",
     )
     parser.add_argument(
         "--state-file", type=Path, metavar="FILE", help=f"file that `python -m reskpn.health {service}` reads"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from common.config.effects import settings_without_effect
 from common.config.settings import RunSettings
+from common.device_memory import reserve
 from common.output import say
 from reskpn.commands.beginning import add_from, origin_settings, parse_origin, refuse_two_beginnings
 from reskpn.commands.command import Command
@@ -51,6 +52,7 @@ def run(given: argparse.Namespace) -> int:
     resume = given.resume
     if resume is None or resume == AUTO:
         new = settings_given(given) if given.origin is None else over(origin_settings(given.origin), own_endpoint=False)
+        reserve(new.device_memory.learner)
         new = _with_precision_chosen(new)
         resume = run_to_resume(new) if resume == AUTO else None
     with stopping(supervised=given.supervised) as stop:
@@ -61,6 +63,7 @@ def run(given: argparse.Namespace) -> int:
             settings = settings_to_resume(Path(resume), over)
             if settings is None:
                 return notify_pending_actors(Path(resume), over, stop, lock)
+            reserve(settings.device_memory.learner)
             _print_effects(settings)
             return run_learner(settings, stop=stop, resume=True, skip_batch=given.skip_batch, lock=lock)
 

@@ -54,12 +54,16 @@ def compare(results: Sequence[Result]) -> list[Group]:
     return made
 
 
+APART = ("transport", "log", "evaluation", "device_memory")
+"""Sections that do not decide what a run learns."""
+
+
 def _leaves(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     """Settings that decide what a run learns, by dotted name."""
     leaves: dict[str, Any] = {}
     for name, value in tree.items():
         if isinstance(value, dict):
-            leaves |= _leaves(value, f"{prefix}{name}.") if name not in ("transport", "log", "evaluation") else {}
+            leaves |= _leaves(value, f"{prefix}{name}.") if name not in APART else {}
         elif name not in ("run_dir", "slot_wait_s"):
             leaves[prefix + name] = value
     return leaves

@@ -22,7 +22,7 @@ REVISIONS = {"networks": 1, "kernel": 1}
 """Revision of the update of learners without ("networks") and with ("kernel") a kernel part. Raise it when an update
 gives other bits than before: results of an earlier revision then count as missing."""
 
-UNRELATED = {"transport", "log", "run_dir", "slot_wait_s"}
+UNRELATED = {"transport", "log", "run_dir", "slot_wait_s", "device_memory"}
 """Settings that do not change what a run learns."""
 
 NO_EPISODE_ENDS = ("halfcheetah", "humanoidstandup", "pusher", "reacher")

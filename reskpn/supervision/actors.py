@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from common.config.settings import RunSettings
 from common.cores import usable_cores
+from common.device_memory import worker_environment
 from common.errors import PhysicsError, ProcessError, RefusedError, SettingsError
 from common.output import say
 from common.tasks import is_own
@@ -81,8 +83,11 @@ class ActorSupervisor:
         if transport.users is not None:
             command += ["--users", str(transport.users)]
         with log_file.open("ab") as output:
-            actor.process = processes.start(command, output=output.fileno())
+            actor.process = processes.start(command, output=output.fileno(), environment=self._environment())
         actor.started_s = time.monotonic()
+
+    def _environment(self) -> dict[str, str]:
+        return worker_environment(os.environ, self.settings.physics, self.settings.device_memory.actor)
 
     def _on_exit(self, actor: ActorProcess, process: subprocess.Popen[bytes]) -> None:
         """Count the exit of an actor and tell the user. ProcessError where restarting it would be useless."""

@@ -19,17 +19,22 @@ def reskpn_command(name: str) -> list[str]:
     return [sys.executable, "-m", "reskpn", name, "--supervised"]
 
 
-def start(command: Sequence[str], output: int | None = None, keep: Sequence[int] = ()) -> subprocess.Popen[bytes]:
+def start(
+    command: Sequence[str],
+    output: int | None = None,
+    keep: Sequence[int] = (),
+    environment: Mapping[str, str] | None = None,
+) -> subprocess.Popen[bytes]:
     """Start a process that stops when its standard input ends, out of reach of the terminal's Ctrl-C.
 
-    `keep`: descriptors that it inherits.
+    `keep`: descriptors that it inherits. `environment`: by default this process's; without settings in any case.
     """
     return subprocess.Popen(
         command,
         stdin=subprocess.PIPE,
         stdout=output,
         stderr=subprocess.STDOUT if output is not None else None,
-        env=_child_environment(os.environ),
+        env=_child_environment(os.environ if environment is None else environment),
         start_new_session=True,
         pass_fds=keep,
     )

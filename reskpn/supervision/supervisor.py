@@ -12,6 +12,7 @@ from pathlib import Path
 
 from common.config.settings import RunSettings
 from common.config.trackers import require_trackers
+from common.device_memory import require_room
 from common.errors import SettingsError
 from common.log.lock import LogLock
 from common.output import say
@@ -46,6 +47,7 @@ def train(
         ProcessError: an actor cannot be kept alive.
     """
     refuse_certificates(settings)
+    require_room(settings)
     require_trackers(settings.track)
     run_dir = settings.run_dir if resume else claim_run_dir(settings)
     how = [] if resume is None else ["--resume", str(run_dir), "--lock-fd", str(resume.fd)]

@@ -29,6 +29,7 @@ from services.actor.rollouts import rollout_message
 from services.worker.deterministic import play_episodes
 from services.worker.joining import Assignment, connect, join
 from services.worker.link import AssignmentLost
+from services.worker.placement import compute_beside
 from services.worker.policy_reader import PolicyReader
 from services.worker.state_file import WriteState, state_writer
 
@@ -104,6 +105,7 @@ def _work(
     say(
         f"joined {assignment.run} as slot {assignment.slot} (generation {assignment.generation}) with {physics} physics"
     )
+    compute_beside(physics)
     for difference in differences_of(assignment.settings.task) if physics == MJX else ():
         say(f"warning: physics mjx simulates another model: {difference}")
     try:

@@ -28,6 +28,7 @@ from services.evaluator.state_refresher import StateRefresher
 from services.worker.deterministic import DeterministicEpisodes
 from services.worker.joining import Assignment, connect, join
 from services.worker.link import AssignmentLost
+from services.worker.placement import compute_beside
 from services.worker.policy_reader import PolicyReader
 from services.worker.state_file import state_writer
 
@@ -160,6 +161,7 @@ class EvaluatorIncarnation:
         settings = assignment.settings
         if settings.physics == "auto":
             settings = settings.model_copy(update={"physics": engine})
+        compute_beside(settings.physics)
         self._assignment = assignment
         self._options = options
         self._stop = stop

@@ -110,7 +110,7 @@ def test_help_explains_every_setting(capsys: pytest.CaptureFixture[str], command
     for name, field in RunSettings.model_fields.items():
         if isinstance(field.default, Section):
             for inner, inner_field in type(field.default).model_fields.items():
-                assert f"--{name}.{inner.replace('_', '-')}" in out
+                assert f"--{name}.{inner}".replace("_", "-") in out
                 assert " ".join((inner_field.description or "missing").split()) in words
         else:
             assert f"--{name.replace('_', '-')}" in out

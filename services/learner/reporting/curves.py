@@ -17,6 +17,8 @@ CHARTS = "charts"
 RETURN, EVAL_RETURN = f"{CHARTS}/return", f"{CHARTS}/eval_return"
 STEPS_PER_S = f"{CHARTS}/steps_per_s"
 
+NOT_COMPARED = {"transport", "log", "run_dir", "track", "device_memory"}
+
 _ALSO_IN_CHARTS = {
     "run/return": RETURN,
     "run/step_reward": f"{CHARTS}/step_reward",
@@ -59,7 +61,7 @@ def restore_points(scalars: Scalars, run_dir: Path) -> None:
 
 def comparable_settings(settings: RunSettings) -> dict[str, object]:
     """The settings that runs are compared by: those that say how it learns, not where and how it is kept."""
-    return dict(_flat(settings.model_dump(mode="json", exclude={"transport", "log", "run_dir", "track"})))
+    return dict(_flat(settings.model_dump(mode="json", exclude=NOT_COMPARED)))
 
 
 def _newest_records(log: Path, reached: int) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -251,7 +251,7 @@ def test_a_dotted_name_in_a_file(config: Any) -> None:
     assert refusal(config=path) == (
         f"algorithm.gamma (from {path}) is not a setting; in a file, write 'gamma' indented under 'algorithm':"
     )
-    assert f"foo.bar (from {path}) is not a setting; docs/settings.md" in refusal(config=config("foo.bar: 1\n"))
+    assert f"foo.qqq (from {path}) is not a setting; docs/settings.md" in refusal(config=config("foo.qqq: 1\n"))
 
 
 def test_unknown_names_in_the_environment() -> None:

@@ -1,8 +1,11 @@
 """`reskpn learner`: the settings that a new run begins with."""
 
+import os
+
 import pytest
 
 from common.config.settings import RunSettings
+from reskpn.cli import main
 from reskpn.commands import learner
 
 
@@ -15,3 +18,22 @@ def test_automatic_precision_is_chosen_and_said(
     assert learner._with_precision_chosen(settings).algorithm.precision == "bfloat16"
     assert "algorithm.precision auto is bfloat16 here: it has the instruction" in capsys.readouterr().out
     assert learner._with_precision_chosen(RunSettings()) == RunSettings()
+
+
+def test_the_learner_takes_its_share_of_the_gpu_before_jax_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the service finds in the environment is what the settings say; `on-demand` is what any command finds."""
+    found: list[dict[str, str]] = []
+
+    def run_learner(settings: RunSettings, **_: object) -> int:
+        found.append({name: value for name, value in os.environ.items() if name.startswith("XLA_")})
+        return 0
+
+    monkeypatch.setattr("services.learner.service.run_learner", run_learner)
+    for words in ([], ["--device-memory.learner", "0.4"]):
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "environ", {name: os.environ[name] for name in os.environ if not name.startswith("XLA_")})
+            assert main(["learner", *words]) == 0
+    assert found == [
+        {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"},
+        {"XLA_PYTHON_CLIENT_PREALLOCATE": "true", "XLA_CLIENT_MEM_FRACTION": "0.4"},
+    ]

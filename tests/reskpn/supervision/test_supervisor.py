@@ -282,6 +282,40 @@ def test_actors_are_told_where_and_not_what(
         assert variables["RESKPN_CACHE_DIR"] == "/somewhere"
 
 
+@pytest.mark.parametrize(
+    ("physics", "expected"),
+    [("native", {"JAX_PLATFORMS": "cpu"}), ("mjx", {"PREALLOCATE": "true", "FRACTION": "0.3"})],
+)
+def test_actors_are_told_what_they_may_take_of_the_gpu(
+    stand_in: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    physics: str,
+    expected: dict[str, str],
+) -> None:
+    """Nothing of it with the native engine, and their share with MJX, in the environment that they are started in."""
+    for name in ("JAX_PLATFORMS", "XLA_PYTHON_CLIENT_PREALLOCATE", "XLA_CLIENT_MEM_FRACTION"):
+        monkeypatch.delenv(name, raising=False)
+    stand_in(
+        actor='echo "JAX_PLATFORMS=$JAX_PLATFORMS"; echo "PREALLOCATE=$XLA_PYTHON_CLIENT_PREALLOCATE";'
+        'echo "FRACTION=$XLA_CLIENT_MEM_FRACTION"'
+    )
+    tree = {"actors": 1, "run_dir": tmp_path, "physics": physics, "device_memory": {"actor": 0.3}}
+    supervisor = ActorSupervisor(resolved(RunSettings.model_validate(tree)))
+    die(supervisor)
+    lines = supervisor.log_file(supervisor.actors[0]).read_text().splitlines()
+    assert {name: value for name, value in (line.split("=") for line in lines) if value} == expected
+    supervisor.stop()
+
+
+def test_shares_that_do_not_fit_are_refused_before_anything_starts(tmp_path: Path) -> None:
+    """0.6 + 2 x 0.3: no directory is left behind."""
+    tree = {"physics": "mjx", "run_dir": tmp_path / "run", "device_memory": {"learner": 0.6, "actor": 0.3}}
+    with pytest.raises(SettingsError, match=r"make 1\.2 of the GPU"):
+        train(RunSettings.model_validate(tree))
+    assert not (tmp_path / "run").exists()
+
+
 # -- the whole ---------------------------------------------------------------------------------------------
 
 
