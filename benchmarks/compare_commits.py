@@ -43,7 +43,10 @@ for _ in sys.stdin:
 """
 """What both trees run; it must work with every commit that is compared."""
 
-TRAIN = "--task inverted_pendulum --learner reskpn --actors 2 --num-envs 1024 --num-steps 20 --evaluation.episodes 0"
+TRAIN = (
+    "--config paper --task inverted_pendulum --learner reskpn --actors 2 --num-envs 1024 --num-steps 20 "
+    "--evaluation.episodes 0"
+)
 
 Measure = Callable[[], tuple[float, ...]]
 

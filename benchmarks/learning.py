@@ -50,7 +50,7 @@ class Trial:
         shared += ["--num-envs", str(self.num_envs), "--seed", str(self.seed)]
         if self.implementation == "reference":
             return run_json("benchmarks.reference", [*shared, "--steps", str(self.steps)])
-        own = ["--actors", "1", "--total-steps", str(self.steps), "--warm-up", "1", "--returns"]
+        own = ["--config", "paper", "--actors", "1", "--total-steps", str(self.steps), "--warm-up", "1", "--returns"]
         return run_json("benchmarks.one_process", [*shared, *own])
 
 

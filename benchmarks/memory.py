@@ -110,7 +110,7 @@ def measure(minutes: float, settings: Sequence[str]) -> tuple[dict[str, Growth],
     """Measure the growth by service over a run of `minutes` minutes, and its number of updates."""
     with tempfile.TemporaryDirectory(prefix="reskpn-memory-") as folder:
         run_dir = Path(folder) / "run"
-        command = [sys.executable, "-m", "reskpn", "train", "--run-dir", str(run_dir), *settings]
+        command = [sys.executable, "-m", "reskpn", "train", "--config", "paper", "--run-dir", str(run_dir), *settings]
         process = subprocess.Popen(command, env=bare_environment(), stdout=subprocess.DEVNULL)
         try:
             samples = watch(process, minutes)

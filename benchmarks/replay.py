@@ -102,7 +102,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run_dir = given.run
             if run_dir is None:
                 run_dir = Path(folder) / "run"
-                run_module("reskpn", ["train", "--run-dir", str(run_dir), "--evaluation.episodes", "0", *settings])
+                run_module(
+                    "reskpn",
+                    ["train", "--config", "paper", "--run-dir", str(run_dir), "--evaluation.episodes", "0", *settings],
+                )
             reading = measure_reading(run_dir, given.rounds)
             verdict = measure_verify(run_dir, given.until)
     except ReskpnError as error:

@@ -205,7 +205,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = machine()
     batch_size = given.num_envs * given.num_steps
     names = ("task", "learner", "physics", "num_envs", "num_steps", "seed")
-    settings = [word for name in names for word in (option(name), str(getattr(given, name)))]
+    settings = ["--config", "paper"] + [word for name in names for word in (option(name), str(getattr(given, name)))]
     settings += ["--total-steps", str(given.updates * batch_size), *further]
     if given.reference and (further or given.learner not in LEARNERS or given.num_steps != Recipe.num_steps):
         parser.error(

@@ -9,7 +9,9 @@ from pydantic.fields import FieldInfo
 
 from common.config.faults import PREFIX
 from common.config.kinds import written
+from common.config.presets import default_settings
 from common.config.settings import RunSettings, Section
+from common.config.tree import value_of
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / ".env.example"
@@ -110,8 +112,12 @@ def _variables(fields: Mapping[str, FieldInfo], prefix: str) -> dict[str, FieldI
 
 
 def _section_example(title: str, fields: dict[str, FieldInfo]) -> str:
-    lines = [f"# {field.description}\n# {name}={written(field.default)}\n" for name, field in fields.items()]
+    lines = [f"# {field.description}\n# {name}={_default(name)}\n" for name, field in fields.items()]
     return f"\n# -- {title}\n" + "".join(lines)
+
+
+def _default(variable: str) -> str:
+    return written(value_of(default_settings(), variable.removeprefix(PREFIX).replace("__", ".").lower()))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,9 @@ from typing import Any
 
 from common.config.faults import PREFIX
 from common.config.kinds import written
+from common.config.presets import default_settings
 from common.config.settings import RunSettings, Section
+from common.config.tree import value_of
 
 PAGE = Path(__file__).parent.parent / "docs" / "settings.md"
 
@@ -25,9 +27,11 @@ algorithm:
 ```
 
 These sources come in this order, and the defaults last: the first source that sets a value takes precedence. Whole
-numbers may be written as `3e6`, and lists as `256,256` (or `[256, 256]`) in all of them. `--config paper` takes the
-paper's Table 1 (`reskpn/presets/paper.yaml`), `--config fast` settings that learn faster (`reskpn/presets/fast.yaml`,
-`method.md`).
+numbers may be written as `3e6`, and lists as `256,256` (or `[256, 256]`) in all of them.
+
+The defaults below are `reskpn/presets/default.yaml`'s; with a `learner` other than `reskpn`, `algorithm.objective` is
+`auto`, and everything of `rkhs` and `critic` as in the paper. `--config paper` takes the paper's Table 1
+(`reskpn/presets/paper.yaml`).
 """
 
 
@@ -43,7 +47,7 @@ def page() -> str:
 def _table(title: str, section: type[Section], prefix: str) -> str:
     text = " ".join((section.__doc__ or "").split())
     rows = [
-        f"| `{prefix}{name}` | {_default(field.default)} | {field.description} |"
+        f"| `{prefix}{name}` | {_default(value_of(default_settings(), prefix + name))} | {field.description} |"
         for name, field in section.model_fields.items()
         if not isinstance(field.default, Section)
     ]

@@ -15,6 +15,7 @@ from common.suggestions import nearest_path
 PREFIX = "RESKPN_"
 COMMAND_LINE = "the command line"
 ENVIRONMENT = "the environment"
+CALL = "the call"
 
 Location = tuple[int | str, ...]
 

@@ -1,4 +1,4 @@
-"""Sources of settings: command line, environment, YAML file, defaults. The first that sets a value takes precedence.
+"""Sources of settings: command line, environment, YAML file, default preset. The first that sets a value wins.
 
 A `Section` stays a plain frozen model; `load` reads the sources with pydantic-settings, merges them and turns each
 fault into a sentence that says what was given, what is allowed and where it came from.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +23,12 @@ from pydantic_settings import (
 )
 from pydantic_settings import SettingsError as SourceError
 
-from common.config.faults import COMMAND_LINE, ENVIRONMENT, PREFIX, Source, explain, unknown_setting
+from common.config.faults import CALL, COMMAND_LINE, ENVIRONMENT, PREFIX, Source, explain, unknown_setting
 from common.config.kinds import written
+from common.config.presets import PRESETS, default_settings, default_values, read_preset
 from common.config.settings import RunSettings, Section
-from common.config.tree import leaf
+from common.config.tree import leaf, value_of
 from common.errors import SettingsError
-
-PRESETS = ("paper", "fast")
 
 OTHER_VARIABLES = frozenset({"RESKPN_CACHE_DIR", "RESKPN_DASHBOARD_TOKEN"})
 """Variables with the prefix that are not settings of a run."""
@@ -90,10 +88,11 @@ def add_options(parser: argparse.ArgumentParser) -> CliSettingsSource[Any]:
 
 def _add_option(parser: Any, *names: str, **given: Any) -> Any:
     """Add an option as pydantic-settings describes it, with the help, placeholder and lists of this project."""
-    field = leaf(names[0].removeprefix("--").replace("-", "_"))
+    name = names[0].removeprefix("--").replace("-", "_")
+    field = leaf(name)
     if field is None:
         return parser.add_argument(*names, **given)
-    default = written(field.default)
+    default = written(value_of(default_settings(), name))
     given["help"] = f"{field.description}{f' (default: {default})' if default else ''}".replace("%", "%%")
     metavar = str(given.get("metavar"))
     given["metavar"] = METAVARS.get(metavar, metavar)
@@ -117,7 +116,12 @@ def load(
         config: a YAML file or the name of a preset.
         environment: default `os.environ`.
     """
-    return _validated(_sources(options, arguments, config, environment))
+    return _validated(_over_defaults(_sources(options, arguments, config, environment)))
+
+
+def from_values(values: Mapping[str, Any]) -> RunSettings:
+    """The settings of a run from values in the shape of the tree, and defaults; SettingsError as from `load`."""
+    return _validated(_over_defaults([Source(CALL, values)]))
 
 
 def load_over(
@@ -158,6 +162,12 @@ def _sources(
         Source(ENVIRONMENT, _from_environment(os.environ if environment is None else environment)),
         Source(f"{config}", _from_file(config) if config else {}),
     ]
+
+
+def _over_defaults(sources: list[Source]) -> list[Source]:
+    """The sources, and below them the default preset for the learner that they name."""
+    learner = next((source.values["learner"] for source in sources if "learner" in source.values), None)
+    return [*sources, Source("the defaults", default_values(None if learner is None else str(learner)))]
 
 
 def _validated(sources: list[Source]) -> RunSettings:
@@ -211,18 +221,16 @@ def _is_known(name: str) -> bool:
 
 def _from_file(config: str) -> dict[str, Any]:
     if config in PRESETS:
-        text = resources.files("reskpn").joinpath(f"presets/{config}.yaml").read_text()
-    else:
-        path = Path(config)
-        try:
-            text = path.read_text(encoding="utf-8")
-        except UnicodeDecodeError:
-            raise SettingsError(f"--config {config}: not a text file; give a YAML file of settings") from None
-        except OSError as error:
-            raise SettingsError(
-                f"--config {config}: cannot be read ({error.strerror}); give a YAML file or one of the presets: "
-                f"{', '.join(PRESETS)}"
-            ) from None
+        return read_preset(config)
+    try:
+        text = Path(config).read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise SettingsError(f"--config {config}: not a text file; give a YAML file of settings") from None
+    except OSError as error:
+        raise SettingsError(
+            f"--config {config}: cannot be read ({error.strerror}); give a YAML file or one of the presets: "
+            f"{', '.join(PRESETS)}"
+        ) from None
     try:
         values = yaml.safe_load(text)
     except yaml.YAMLError as error:

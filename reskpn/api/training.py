@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from common.config.settings import RunSettings
-from common.config.sources import parse_json
+from common.config.sources import from_values
 from common.config.trackers import require_trackers
 from common.device_memory import require_room
 from common.errors import CodecError, ProcessError, SettingsError, WireError
@@ -70,7 +70,7 @@ def _settings(**given: Any) -> RunSettings:
         text = json.dumps({name: value for name, value in given.items() if value is not None}, default=_as_text)
     except (TypeError, ValueError) as error:
         raise SettingsError(f"a setting is neither text, number, list nor map ({error})") from None
-    return parse_json(text)
+    return from_values(json.loads(text))
 
 
 def _as_text(value: Any) -> str:

@@ -18,8 +18,8 @@ import pytest
 import reskpn.supervision.supervisor
 import services.actor.service
 import services.learner.service
+from common.config.presets import PRESETS
 from common.config.settings import RunSettings, Section
-from common.config.sources import PRESETS
 from common.errors import (
     CheckpointError,
     LogReadError,
@@ -258,8 +258,8 @@ def test_settings_reach_the_run(trained: list[RunSettings], tmp_path: Path, monk
         (["--rkhs.kernel", "cubic"], "rkhs.kernel (from the command line): 'cubic' is not a kernel; "),
         (["--algorithm.gamma", "2"], "algorithm.gamma (from the command line): '2': Input should be less than or"),
         (["--num-envs", "7"], "num_envs (7) must be a multiple of actors (2): "),
-        (["--algorithm.minibatches", "7"], "a batch of 20480 transitions (num_envs 2048 x num_steps 10) cannot be "),
-        (["--total-steps", "10"], "total_steps (10) is less than one update of 20480 transitions "),
+        (["--algorithm.minibatches", "7"], "a batch of 8192 transitions (num_envs 64 x num_steps 128) cannot be "),
+        (["--total-steps", "10"], "total_steps (10) is less than one update of 8192 transitions "),
         (["--config", "/nowhere.yaml"], "--config /nowhere.yaml: cannot be read (No such file or directory); "),
     ],
 )

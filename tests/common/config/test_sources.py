@@ -11,9 +11,10 @@ import pytest
 
 from common.config.faults import COMMAND_LINE, ENVIRONMENT, spelled
 from common.config.kinds import written
+from common.config.presets import PRESETS, default_settings
 from common.config.settings import RunSettings
-from common.config.sources import PRESETS, add_options, load, load_over, parse_json
-from common.config.tree import leaves
+from common.config.sources import add_options, load, load_over, parse_json
+from common.config.tree import leaves, value_of
 from common.errors import SettingsError
 
 
@@ -48,8 +49,8 @@ def refusal(*words: str, environment: dict[str, str] | None = None, config: str 
 
 def test_without_anything_said_there_are_the_defaults() -> None:
     """From every place that is empty."""
-    assert loaded() == RunSettings()
-    assert load(environment={}) == RunSettings()
+    assert loaded() == default_settings()
+    assert load(environment={}) == default_settings()
 
 
 PLACES = ("command line", "environment", "file")
@@ -67,7 +68,7 @@ PLACES = ("command line", "environment", "file")
             lambda s: s.algorithm.minibatches,
             32,
         ),
-        ("--rkhs.capacity", "RESKPN_RKHS__CAPACITY", "rkhs: {{capacity: {}}}", lambda s: s.rkhs.capacity, None),
+        ("--rkhs.directions", "RESKPN_RKHS__DIRECTIONS", "rkhs: {{directions: {}}}", lambda s: s.rkhs.directions, 8),
     ],
 )
 def test_precedence(
@@ -152,7 +153,7 @@ def test_options_are_spelled_with_hyphens_and_take_values() -> None:
 
 def test_an_empty_file_says_nothing(config: Any) -> None:
     """Nor does one with nothing but comments."""
-    assert loaded(config=config("# nothing\n")) == RunSettings()
+    assert loaded(config=config("# nothing\n")) == default_settings()
 
 
 def test_settings_written_as_json_are_a_file_of_settings(config: Any) -> None:
@@ -270,7 +271,7 @@ def test_unknown_names_in_the_environment() -> None:
 
 def test_other_variables_of_the_environment() -> None:
     """Only RESKPN_ ones are looked at, and the cache's folder is no setting of a run."""
-    assert load(environment={"TASK": "x", "KPN_TASK": "x", "RESKPN_CACHE_DIR": "x"}) == RunSettings()
+    assert load(environment={"TASK": "x", "KPN_TASK": "x", "RESKPN_CACHE_DIR": "x"}) == default_settings()
 
 
 # -- values that are none ----------------------------------------------------------------------------------
@@ -363,9 +364,9 @@ def test_one_number_is_no_list(place: str, config: Any) -> None:
 
 def test_every_default_can_be_pasted() -> None:
     """As `--help`, docs/settings.md and .env.example print it, from the command line and from the environment."""
-    texts = {name: text for name, field in leaves().items() if (text := written(field.default))}
-    assert loaded(*(f"{spelled(name, COMMAND_LINE)}={text}" for name, text in texts.items())) == RunSettings()
-    assert loaded(environment={spelled(name, ENVIRONMENT): text for name, text in texts.items()}) == RunSettings()
+    texts = {name: text for name in leaves() if (text := written(value_of(default_settings(), name)))}
+    assert loaded(*(f"{spelled(name, COMMAND_LINE)}={text}" for name, text in texts.items())) == default_settings()
+    assert loaded(environment={spelled(name, ENVIRONMENT): text for name, text in texts.items()}) == default_settings()
     assert (written((256, 256)), written((256,)), written(("a",)), written(False)) == ("256,256", "[256]", "a", "false")
 
 
