@@ -31,6 +31,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         use.add_argument("--results", type=Path, default=RESULTS, metavar="DIR", help=f"default: {RESULTS}")
     running.add_argument("--jobs", type=int, default=1, metavar="N", help="runs at a time (default: 1)")
     running.add_argument("--tasks", nargs="+", metavar="TASK", help="only runs on these tasks")
+    running.add_argument("--arms", nargs="+", metavar="ARM", help="only runs of these arms")
     running.add_argument("--seeds", type=int, nargs="+", metavar="SEED", help="only runs with these seeds")
     drawing.add_argument("--out", type=Path, default=OUT, metavar="DIR", help=f"default: {OUT}")
     drawing.add_argument("--into", type=Path, metavar="FILE", help="also put them between the marks of this document")
@@ -68,7 +69,7 @@ def _run(given: argparse.Namespace) -> int:
     if given.jobs < 1 or (given.here and given.jobs > 1):
         raise SettingsError(f"--jobs is {given.jobs}; allowed: 1 or more, and 1 with --here")
     catalogue, store = load_catalogue(), Store(given.results)
-    only = {"task": given.tasks, "seed": given.seeds}
+    only = {"task": given.tasks, "arm": given.arms, "seed": given.seeds}
     made = make_runs(
         given.names or list(catalogue),
         given.scale,

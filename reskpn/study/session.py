@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from common.errors import SettingsError
+from common.suggestions import unknown_name
 from common.tasks import task_fault
 from reskpn.study.experiments import Experiment
 from reskpn.study.planning import Trial, plan, with_needs
@@ -27,16 +28,20 @@ def make_runs(
     """Make the missing runs of these experiments and of those that they need; returns how many were made.
 
     Args:
-        only: values that a setting ("task", "seed") must be among; other trials are left out.
+        only: values that "task", "seed" and "arm" of a trial must be among; other trials are left out.
 
     Raises:
-        SettingsError: an unknown experiment, scale, task or setting, or arms that remain undecided.
+        SettingsError: an unknown experiment, arm, scale, task or setting, or arms that remain undecided.
         LogWriteError, ProcessError: as `run_missing`.
     """
     for task in only.get("task", ()):
         if (fault := task_fault(task, None)) is not None:
             raise SettingsError(fault)
     experiments = [experiment for experiment in with_needs(names, catalogue) if experiment.needs_runs]
+    arms = dict.fromkeys(arm for experiment in experiments for arm in experiment.arms)
+    for arm in only.get("arm", ()):
+        if arm not in arms:
+            raise SettingsError(unknown_name("arm", arm, arms))
     made = 0
     while True:
         plans = {
@@ -58,4 +63,5 @@ def make_runs(
 
 
 def _is_wanted(trial: Trial, only: Mapping[str, Collection[Any]]) -> bool:
-    return all(getattr(trial.settings, name) in values for name, values in only.items())
+    found = {"task": trial.settings.task, "seed": trial.settings.seed, "arm": trial.arm}
+    return all(found[name] in values for name, values in only.items())

@@ -82,6 +82,16 @@ def test_some_tasks_and_seeds_alone(catalogue: dict[str, Experiment], store: Sto
     assert "tuned waits for results of rates that this command left out" in said
 
 
+def test_some_arms_alone(catalogue: dict[str, Experiment], store: Store) -> None:
+    """Of `rates`, two tasks with two seeds of the one arm; an arm that is not there is refused with the nearest name."""
+    runner = Runner()
+    made = make_runs(["rates"], "smoke", catalogue, store, only={"arm": ["fast"]}, jobs=1, say=print, runner=runner)
+    assert made == 4
+    assert {settings.algorithm.learning_rate for settings in runner.made} == {1e-3}
+    with pytest.raises(SettingsError, match=r"'fats' is not an arm; did you mean 'fast'\?"):
+        make_runs(["rates"], "smoke", catalogue, store, only={"arm": ["fats"]}, jobs=1, say=print, runner=runner)
+
+
 def test_the_time_left_is_at_the_pace_so_far() -> None:
     """A quarter of the steps in 600 s leaves 1,800 s; none made says nothing."""
     progress = Progress(total_steps=4000)
