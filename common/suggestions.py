@@ -15,7 +15,8 @@ def unknown_name(kind: str, given: str, allowed: Iterable[str]) -> str:
     names = list(allowed)
     near = nearest_name(given, names)
     hint = f"did you mean {near!r}? " if near else ""
-    return f"{given!r} is not a {kind}; {hint}allowed: {', '.join(names)}"
+    article = "an" if kind[0] in "aeiou" else "a"
+    return f"{given!r} is not {article} {kind}; {hint}allowed: {', '.join(names)}"
 
 
 def nearest_name(given: str, allowed: Iterable[str]) -> str | None:

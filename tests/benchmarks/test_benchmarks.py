@@ -128,7 +128,7 @@ def test_one_process_reports_its_speed_by_phase(
 ) -> None:
     """Speed and seconds are of the same updates, and the phases fill the update."""
     monkeypatch.setattr(one_process, "prepare", lambda: None)
-    options = ["--algorithm.hidden", "8,8", "--updates", "3", "--warm-up", "1", "--returns"]
+    options = ["--num-steps", "10", "--algorithm.hidden", "8,8", "--updates", "3", "--warm-up", "1", "--returns"]
     assert one_process.main([*TINY, *options]) == 0
     result = json.loads(capsys.readouterr().out)
     seconds = dict(result["seconds"])

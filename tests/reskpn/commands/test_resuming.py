@@ -14,6 +14,7 @@ import reskpn.supervision.supervisor
 import services.learner.resume.shutdown_notice
 import services.learner.service
 from common.config.settings import RunSettings, TransportSettings
+from common.config.sources import from_values
 from common.errors import LogReadError
 from common.log.lock import LogLock
 from common.log.reader import LogReader
@@ -58,7 +59,7 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, RunSettings, bool]
 @pytest.fixture
 def run_dir(tmp_path: Path) -> Path:
     """A run that was interrupted; its learner listened on port 4000."""
-    settings = RunSettings.model_validate(BASE | {"transport": {"endpoint": "tcp/127.0.0.1:4000"}})
+    settings = from_values(BASE | {"transport": {"endpoint": "tcp/127.0.0.1:4000"}})
     with LogWriter(tmp_path / "run" / "log", metadata={"settings": {"json": settings.model_dump_json()}}):
         pass
     return tmp_path / "run"
@@ -105,7 +106,7 @@ def newest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     for number, name in enumerate(["old", "new"]):
         run = Path("runs") / name
-        settings = RunSettings.model_validate(BASE | {"transport": {"endpoint": f"tcp/127.0.0.1:{4000 + number}"}})
+        settings = from_values(BASE | {"transport": {"endpoint": f"tcp/127.0.0.1:{4000 + number}"}})
         with LogWriter(run / "log", metadata={"settings": {"json": settings.model_dump_json()}}) as log:
             log.write("/event", {"level": "info", "name": "begun", "text": "a run"})
         os.utime(run, (1000.0 + number, 1000.0 + number))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from common.config.settings import RunSettings
-from common.errors import LogWriteError, ProcessError
+from common.errors import LogWriteError, ProcessError, SettingsError
 from reskpn.study.experiments import Experiment
 from reskpn.study.planning import plan
 from reskpn.study.running import Progress, Work, check_exit, run_missing
