@@ -10,12 +10,14 @@ SEED ?= 0
 PHYSICS ?= auto
 ARGS ?=
 UPDATE_ARGS ?=
+DEVICE ?= gpu
+GPU_ARGS ?=
 # It balances for whole episodes after 4e5 steps.
 INVERTED_PENDULUM := --total-steps 6e5
 CHAOS_POINTS ?= 20
 CHAOS_SEED ?=
 
-.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench paper-smoke lock clean
+.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench bench-gpu paper-smoke lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -61,6 +63,9 @@ lint: setup  ## style, types and import rules
 bench: setup  ## speed of the service, where the time goes, and what the RKHS part costs; ARGS="--task humanoid" UPDATE_ARGS="--only rff"
 	@$(BIN)/python -m benchmarks.service $(ARGS)
 	@$(BIN)/python -m benchmarks.update $(UPDATE_ARGS)
+
+bench-gpu: setup  ## physics, updates and runs on a GPU, in under 8 minutes; DEVICE=cpu tries every case small; GPU_ARGS="--only service"
+	@$(BIN)/python -m benchmarks.gpu --device $(DEVICE) $(GPU_ARGS)
 
 paper-smoke: setup  ## every experiment of the paper, very small, run and drawn: whether all of it works, in a few minutes
 	@rm -rf build/paper-smoke

@@ -13,7 +13,7 @@ from typing import Any
 from common.config.sources import OTHER_VARIABLES, PREFIX
 from common.errors import ProcessError
 
-_ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parent.parent
 
 
 def bare_environment() -> dict[str, str]:
@@ -28,7 +28,7 @@ def run_module(module: str, arguments: Sequence[str]) -> str:
         ProcessError: it fails; its last words are in the message.
     """
     command = [sys.executable, "-m", module, *arguments]
-    done = subprocess.run(command, cwd=_ROOT, env=bare_environment(), capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=ROOT, env=bare_environment(), capture_output=True, text=True, check=False)
     if done.returncode != 0:
         last = (done.stdout + done.stderr).strip().splitlines()[-8:]
         raise ProcessError(

@@ -14,7 +14,7 @@ import json
 import statistics
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -48,6 +48,8 @@ class Case:
     rkhs: Rkhs | None
     critic: dict[str, Any] = field(default_factory=dict)
     precision: str = "float32"
+    products: str | None = None
+    """JAX's precision of float32 products, for those that name none; None: the device's default, on GPUs TF32."""
 
 
 def _case(representation: str, samples: int | str, capacity: int, **more: Any) -> Case:
@@ -83,7 +85,9 @@ WHOLE_EXACT = _case("exact", "batch", 20480)
 class Subject:
     """A compiled case and its state."""
 
-    def __init__(self, case: Case, task: str) -> None:
+    def __init__(self, case: Case, task: str, sizes: Mapping[str, Any] | None = None) -> None:
+        """`sizes`: settings of the run's size, those of `algorithm` as a map; default: the paper's."""
+        given = dict(sizes or {})
         settings = RunSettings.model_validate(
             {
                 "task": task,
@@ -91,13 +95,14 @@ class Subject:
                 "actors": 1,
                 "rkhs": case.rkhs or {},
                 "critic": case.critic,
-                "algorithm": {"precision": case.precision},
+                **given,
+                "algorithm": {**given.get("algorithm", {}), "precision": case.precision},
             }
         )
-        sizes, learner = TASKS[task], LEARNERS[settings.learner]
+        shape, learner = TASKS[task], LEARNERS[settings.learner]
         networks, parameters = make_networks(
-            sizes.observation_size,
-            sizes.action_size,
+            shape.observation_size,
+            shape.action_size,
             settings.algorithm.hidden,
             settings.seed,
             learner,
@@ -116,7 +121,8 @@ class Subject:
         )
         self.name = case.name
         self._batch = _random_batch(settings)
-        self._update = jax.jit(update).lower(self._state, self._batch).compile()
+        with jax.default_matmul_precision(case.products):
+            self._update = jax.jit(update).lower(self._state, self._batch).compile()
 
     def hlo(self) -> str:
         """The compiled program as text."""
@@ -164,8 +170,12 @@ def _random_batch(settings: RunSettings) -> Batch:
 
 
 def measure(task: str, cases: Sequence[Case], rounds: int) -> list[dict[str, Any]]:
-    """Name, median seconds and ratio to the first case, over `rounds` rounds after one for warm-up."""
-    subjects = [Subject(case, task) for case in cases]
+    """As `in_turns`, for cases that are compiled here."""
+    return in_turns([Subject(case, task) for case in cases], rounds)
+
+
+def in_turns(subjects: Sequence[Subject], rounds: int) -> list[dict[str, Any]]:
+    """Name, median seconds and ratio to the first subject, over `rounds` rounds after one for warm-up."""
     both = np.array([[subject.seconds() for subject in subjects] for _ in range(rounds + 1)])[1:]
     times, used = both[:, :, 0], both[:, :, 1]
     ratios, used_ratios = times / times[:, :1], used / used[:, :1]

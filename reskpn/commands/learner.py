@@ -22,6 +22,7 @@ from reskpn.commands.resuming import (
     settings_to_resume,
 )
 from reskpn.commands.settings_options import add_settings, settings_epilog, settings_given, settings_given_over
+from reskpn.commands.tracing import add_trace, require_reached, trace_plan
 
 if TYPE_CHECKING:
     from services.learner.resume.origin import Origin
@@ -37,6 +38,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_skip_batch(parser)
     add_from(parser)
+    add_trace(parser)
     parser.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--lock-fd", type=int, help=argparse.SUPPRESS)
 
@@ -46,7 +48,7 @@ def run(given: argparse.Namespace) -> int:
     from reskpn.supervision.stopping import stopping
     from services.learner.service import run_learner
 
-    over = settings_given_over(given)
+    over, trace = settings_given_over(given), trace_plan(given)
     refuse_stray_skip(given)
     refuse_two_beginnings(given)
     resume = given.resume
@@ -57,15 +59,17 @@ def run(given: argparse.Namespace) -> int:
         resume = run_to_resume(new) if resume == AUTO else None
     with stopping(supervised=given.supervised) as stop:
         if resume is None:
+            require_reached(trace, new)
             _print_effects(new)
-            return run_learner(new, stop=stop, origin=_origin(given))
+            return run_learner(new, stop=stop, origin=_origin(given), trace=trace)
         with lock_run(Path(resume), given.lock_fd) as lock:
             settings = settings_to_resume(Path(resume), over)
             if settings is None:
                 return notify_pending_actors(Path(resume), over, stop, lock)
             reserve(settings.device_memory.learner)
+            require_reached(trace, settings)
             _print_effects(settings)
-            return run_learner(settings, stop=stop, resume=True, skip_batch=given.skip_batch, lock=lock)
+            return run_learner(settings, stop=stop, resume=True, skip_batch=given.skip_batch, lock=lock, trace=trace)
 
 
 def _origin(given: argparse.Namespace) -> Origin | None:

@@ -17,6 +17,7 @@ from common.errors import SettingsError
 from common.log.lock import LogLock
 from common.output import say
 from common.runs.directory import claim_run_dir, default_run_dir
+from common.trace_plan import TracePlan
 from common.wire.endpoint import free_port
 from reskpn.supervision import processes
 from reskpn.supervision.actors import ActorSupervisor
@@ -33,12 +34,13 @@ def train(
     skip_batch: bool = False,
     origin: str | None = None,
     page: bool = False,
+    trace: TracePlan | None = None,
 ) -> int:
     """Run to the end and return the learner's exit code.
 
     `resume`: the lock of the unfinished run in `settings.run_dir` to continue, whose settings these are;
     `skip_batch`: without the logged batch of its next update. `origin`: the run, and version, whose state a new run
-    begins with. `page`: show the run in the browser.
+    begins with. `page`: show the run in the browser. `trace`: the learner's updates to trace.
 
     Actors are started beside the learner, not after it: all of them take seconds to load.
 
@@ -53,6 +55,7 @@ def train(
     how = [] if resume is None else ["--resume", str(run_dir), "--lock-fd", str(resume.fd)]
     how += ["--skip-batch"] if skip_batch else []
     how += [] if origin is None else ["--from", origin]
+    how += [] if trace is None else ["--trace", trace.written()]
     settings = resolved(settings.model_copy(update={"run_dir": run_dir}))
     with ExitStack() as stack:
         stop = stack.enter_context(stopping(supervised=False))

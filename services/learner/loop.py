@@ -21,6 +21,7 @@ from services.learner.reporting.outlets import Outlets
 from services.learner.reporting.public import public_update
 from services.learner.reporting.recorder import UpdateRecorder
 from services.learner.reporting.summary import Outcome
+from services.learner.reporting.trace import UpdateTrace, phase
 from services.learner.reporting.updates import AppliedUpdate
 from services.learner.resume.resumed_replay import ResumedReplay
 from services.learner.resume.retention import Retention
@@ -52,6 +53,7 @@ class TrainingLoop:
         checkpoints: Checkpoints,
         resumed_replay: ResumedReplay,
         stop: threading.Event,
+        trace: UpdateTrace | None = None,
     ) -> None:
         self._settings = settings
         self._trainer = trainer
@@ -60,6 +62,7 @@ class TrainingLoop:
         self._checkpoints = checkpoints
         self._resumed_replay = resumed_replay
         self._stop = stop
+        self._trace = trace or UpdateTrace.none()
         self._retention = Retention(
             settings, checkpoints.run_dir, lambda text: outlets.events.log("info", "segments_removed", text)
         )
@@ -151,39 +154,52 @@ class TrainingLoop:
     # -- the loop ------------------------------------------------------------------------------------------
 
     def _updates(self) -> Iterator[AppliedUpdate]:
-        while self._trainer.version < self._settings.updates:
-            asked_s = time.monotonic()
+        with self._trace:
+            while self._trainer.version < self._settings.updates:
+                with self._trace.update(self._trainer.version + 1):
+                    update = self._update()
+                    if update is None:
+                        return
+                    yield update
+
+    def _update(self) -> AppliedUpdate | None:
+        """Collect, update, publish and keep. None where the run was asked to stop while it waited."""
+        asked_s = time.monotonic()
+        with phase("wait"):
             rollouts = self._collect()
-            if rollouts is None:
-                return
-            got_s = time.monotonic()
-            logged = self._resumed_replay.covers(self._trainer.version)
-            if self._began_s is None and not logged:
-                self._began_s = got_s - max(sum(rollout.timing.values()) for rollout in rollouts)
-                self._began_version = self._trainer.version
-            environments = self._hub.environments.kept()
-            try:
+        if rollouts is None:
+            return None
+        got_s = time.monotonic()
+        logged = self._resumed_replay.covers(self._trainer.version)
+        if self._began_s is None and not logged:
+            self._began_s = got_s - max(sum(rollout.timing.values()) for rollout in rollouts)
+            self._began_version = self._trainer.version
+        environments = self._hub.environments.kept()
+        try:
+            with phase("learner"):
                 metrics = self._trainer.update(rollouts)
-            except NumericsError as error:
-                self._keep_last()
-                raise NumericsError(f"{error}. {self._last_good()}") from None
-            updated_s = time.monotonic()
+        except NumericsError as error:
+            self._keep_last()
+            raise NumericsError(f"{error}. {self._last_good()}") from None
+        updated_s = time.monotonic()
+        with phase("publish"):
             snapshot = self.publish()
-            published_s = time.monotonic()
-            self._trained_s = 0.0 if self._began_s is None else updated_s - self._began_s
-            version = self._trainer.version
-            # The actors are at work by now; the time that the rest takes is hidden behind theirs.
+        published_s = time.monotonic()
+        self._trained_s = 0.0 if self._began_s is None else updated_s - self._began_s
+        version = self._trainer.version
+        # The actors are at work by now; the time that the rest takes is hidden behind theirs.
+        with phase("record"):
             self._digest = self._trainer.digest()
             self._resumed_replay.check(version, self._digest)
             self._keep(version, snapshot, environments)
-            seconds = {
-                "wait": got_s - asked_s,
-                "learner": updated_s - got_s,
-                "publish": published_s - updated_s,
-                "record": time.monotonic() - published_s,
-                "log": self._log_seconds(),
-            }
-            yield AppliedUpdate(version, self.env_steps, self._digest, rollouts, metrics, seconds)
+        seconds = {
+            "wait": got_s - asked_s,
+            "learner": updated_s - got_s,
+            "publish": published_s - updated_s,
+            "record": time.monotonic() - published_s,
+            "log": self._log_seconds(),
+        }
+        return AppliedUpdate(version, self.env_steps, self._digest, rollouts, metrics, seconds)
 
     def _keep(self, version: int, snapshot: bytes, environments: KeptEnvironments | None) -> None:
         """Keep the policy, a checkpoint, and the environments that the checkpoint of the version before needs."""

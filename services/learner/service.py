@@ -21,6 +21,7 @@ from common.physics.mjx_differences import differences_of
 from common.runs.directory import SUMMARY, claim_run_dir, write_settings
 from common.runtime import enable_compilation_cache
 from common.tasks import slug
+from common.trace_plan import TracePlan
 from common.wire.listener import make_listener_monitor, require_authentication
 from common.wire.session import Session
 from services.learner.endpoints.health_port import Readiness, health_port
@@ -32,6 +33,7 @@ from services.learner.loop import TrainingLoop
 from services.learner.reporting.curves import points_of_evaluation, restore_points
 from services.learner.reporting.outlets import Beginning, Outlets, open_outlets
 from services.learner.reporting.summary import conclude, describe, final_motions, final_record, summarise
+from services.learner.reporting.trace import TRACE, UpdateTrace
 from services.learner.resume.numerical_origin import adopt_numerical_origin
 from services.learner.resume.origin import Origin, begin_from
 from services.learner.resume.plan import Resumption, chain_of, plan_resumption, recorded_id
@@ -50,6 +52,7 @@ def run_learner(
     skip_batch: bool = False,
     lock: LogLock | None = None,
     origin: Origin | None = None,
+    trace: TracePlan | None = None,
 ) -> int:
     """Serve one run to its end, in this process. Returns the exit code: 0, or 130 where `stop` was set.
 
@@ -58,6 +61,7 @@ def run_learner(
         skip_batch: go on without the logged batch of its next update.
         lock: of the run's log, where the caller holds it.
         origin: the state that a new run begins with.
+        trace: the updates to trace.
 
     Raises:
         ReskpnError: anything that keeps the run from going on. The log is complete and closed then.
@@ -95,7 +99,8 @@ def run_learner(
         readiness.serve(resumption.run, hub.is_open)
         replay = ResumedReplay(hub, resumption, outlets.events.add)
         checkpoints = Checkpoints(resumption.run, run_dir, checkpoints_to_keep(settings))
-        loop = TrainingLoop(settings, trainer, hub, outlets, checkpoints, replay, stop)
+        traced = UpdateTrace(trace, run_dir / TRACE, outlets.events.add)
+        loop = TrainingLoop(settings, trainer, hub, outlets, checkpoints, replay, stop, traced)
         summary = _run_to_its_end(settings, loop, outlets, replay, checkpoints, began_s)
         _show_summary(summary, outlets, run_dir)
     return 0 if summary["complete"] else INTERRUPTED

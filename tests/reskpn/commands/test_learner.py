@@ -1,10 +1,12 @@
 """`reskpn learner`: the settings that a new run begins with."""
 
 import os
+from pathlib import Path
 
 import pytest
 
 from common.config.settings import RunSettings
+from common.errors import SettingsError
 from reskpn.cli import main
 from reskpn.commands import learner
 
@@ -37,3 +39,16 @@ def test_the_learner_takes_its_share_of_the_gpu_before_jax_starts(monkeypatch: p
         {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"},
         {"XLA_PYTHON_CLIENT_PREALLOCATE": "true", "XLA_CLIENT_MEM_FRACTION": "0.4"},
     ]
+
+
+@pytest.mark.parametrize("command", ["learner", "train"])
+def test_a_trace_of_what_will_not_be_made_is_refused(
+    capsys: pytest.CaptureFixture[str], command: str, tmp_path: Path
+) -> None:
+    """2 updates of 20,480 steps; and what is no number of updates at all. Nothing is left behind."""
+    words = [command, "--config", "paper", "--total-steps", "40960", "--run-dir", str(tmp_path / "run")]
+    assert main([*words, "--trace", "1@3"]) == SettingsError.exit_code
+    assert "--trace 1@3: the run ends at version 2" in capsys.readouterr().err
+    assert main([*words, "--trace", "all"]) == SettingsError.exit_code
+    assert "--trace all: write N for the number of updates" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()

@@ -35,7 +35,14 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, RunSettings, bool]
     """Instead of running: which command began, with which settings, and whether it resumes."""
     calls: list[tuple[str, RunSettings, bool]] = []
 
-    def train(settings: RunSettings, *, resume: object = None, skip_batch: bool = False, page: bool = False) -> int:
+    def train(
+        settings: RunSettings,
+        *,
+        resume: object = None,
+        skip_batch: bool = False,
+        page: bool = False,
+        trace: object = None,
+    ) -> int:
         calls.append(("train without a batch" if skip_batch else "train", settings, resume is not None))
         return 0
 
@@ -47,6 +54,7 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, RunSettings, bool]
         skip_batch: bool = False,
         lock: object = None,
         origin: object = None,
+        trace: object = None,
     ) -> int:
         calls.append(("learner without a batch" if skip_batch else "learner", settings, resume))
         return 0

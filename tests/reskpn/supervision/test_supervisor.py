@@ -17,6 +17,7 @@ from common.config.settings import RunSettings
 from common.config.sources import load
 from common.cores import usable_cores
 from common.errors import ProcessError, SettingsError
+from common.trace_plan import TracePlan
 from common.wire.endpoint import Endpoint
 from reskpn.supervision import actors as actors_module
 from reskpn.supervision import processes as processes_module
@@ -343,6 +344,13 @@ def test_the_learners_end_is_the_runs_end(
     given = load(config=str(tmp_path / "given.json"), environment={})
     assert given.model_dump(exclude={"transport"}) == asked.model_dump(exclude={"transport"})
     assert given.transport.endpoint != asked.transport.endpoint
+
+
+def test_the_learner_is_told_what_to_trace(stand_in: Callable[..., None], tmp_path: Path) -> None:
+    """In the words that its own command line takes."""
+    stand_in(learner=f'echo "$@" > {tmp_path}/words', actor=STAYS)
+    assert train(RunSettings(run_dir=tmp_path / "run", actors=1), trace=TracePlan(5, 100)) == 0
+    assert (tmp_path / "words").read_text().split()[-2:] == ["--trace", "5@100"]
 
 
 def test_ctrl_c_stops_the_learner_first(
