@@ -83,7 +83,7 @@ def test_some_tasks_and_seeds_alone(catalogue: dict[str, Experiment], store: Sto
 
 
 def test_some_arms_alone(catalogue: dict[str, Experiment], store: Store) -> None:
-    """Of `rates`, two tasks with two seeds of the one arm; an arm that is not there is refused with the nearest name."""
+    """Of `rates`, two tasks with two seeds of the one arm; one that is not there is refused with the nearest name."""
     runner = Runner()
     made = make_runs(["rates"], "smoke", catalogue, store, only={"arm": ["fast"]}, jobs=1, say=print, runner=runner)
     assert made == 4
