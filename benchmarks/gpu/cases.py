@@ -27,6 +27,7 @@ class Scale:
         rounds: updates of each kind, after one for warm-up.
         updates, warm_up: of a run of the service, and how many of them are not measured.
         environment: variables for all processes.
+        patience: factor of the time limits of all cases.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Scale:
     updates: int
     warm_up: int
     environment: dict[str, str] = field(default_factory=dict)
+    patience: float = 1.0
 
 
 FULL = Scale("full", {"num_envs": 2048, "num_steps": 10}, steps=10, repeats=10, rounds=20, updates=80, warm_up=20)
@@ -51,6 +53,7 @@ SMALL = Scale(
     updates=3,
     warm_up=1,
     environment={"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"},
+    patience=5.0,
 )
 """So small that every case runs on a CPU in a few seconds: whether they run, not how fast."""
 

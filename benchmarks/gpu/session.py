@@ -72,8 +72,9 @@ def run_all(
         if left < LEAST_S:
             outcome.reason = f"the budget of {budget_s:g} s was used up"
         else:
+            limit_s = min(case.limit_s * scale.patience, left)
             try:
-                _run(case, outcome, scale, cpu=cpu, limit_s=min(case.limit_s, left), keep=lambda: keep(outcomes))
+                _run(case, outcome, scale, cpu=cpu, limit_s=limit_s, keep=lambda: keep(outcomes))
             finally:
                 keep(outcomes)
         say(f"{outcome.name}: {outcome.state} in {outcome.seconds:.0f} s")
@@ -89,6 +90,7 @@ def environment_of(case: Case, scale: Scale, *, cpu: bool) -> dict[str, str]:
 
 def _run(case: Case, outcome: Outcome, scale: Scale, *, cpu: bool, limit_s: float, keep: Callable[[], None]) -> None:
     began_s = time.monotonic()
+    outcome.state, outcome.reason = "stopped", "it was at work when this was written"
     process = subprocess.Popen(
         [sys.executable, *case.words(scale)],
         cwd=ROOT,
@@ -155,7 +157,7 @@ def _conclude(
         outcome.state, outcome.reason = "stopped", f"after {limit_s:.0f} s, its limit"
         return
     if code == 0 and outcome.rows:
-        outcome.state = "done"
+        outcome.state, outcome.reason = "done", ""
         return
     how = f"exit code {code}" if code >= 0 else f"signal {-code}"
     outcome.state, outcome.reason = "failed", "\n".join([how, *last])

@@ -74,10 +74,19 @@ def test_a_case_that_takes_too_long_is_stopped_with_what_it_started() -> None:
     """It keeps its rows; the process that it started is ended, too, or its line would still come."""
     child = "import time; time.sleep(60)"
     text = f"import subprocess, sys; {ONE_ROW}; sys.stdout.flush(); subprocess.run([sys.executable, '-c', {child!r}])"
-    (slow,), _ = ran(script("slow", text, limit_s=5.0))
+    (slow,), _ = ran(script("slow", text, limit_s=5.0 / SMALL.patience))
     assert (slow.state, slow.rows) == ("stopped", [{"a": 1}])
     assert slow.reason == "after 5 s, its limit"
     assert slow.seconds < 30.0
+
+
+def test_results_that_are_kept_while_a_case_runs_say_so() -> None:
+    """Whoever kills the command then reads that this case is not whole."""
+    kept: list[tuple[str, str]] = []
+    keep = lambda outcomes: kept.append((outcomes[0].state, outcomes[0].reason))  # noqa: E731
+    run_all([script("good", ONE_ROW)], SMALL, cpu=True, budget_s=1e3, keep=keep)
+    assert kept[:2] == [("not run", ""), ("stopped", "it was at work when this was written")]
+    assert kept[-1] == ("done", "")
 
 
 def test_what_the_budget_does_not_reach_is_named() -> None:
