@@ -17,7 +17,7 @@ INVERTED_PENDULUM := --total-steps 6e5
 CHAOS_POINTS ?= 20
 CHAOS_SEED ?=
 
-.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench bench-gpu paper-smoke lock clean
+.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench bench-gpu paper-smoke peers race-smoke lock lock-peers clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -67,10 +67,28 @@ bench: setup  ## speed of the service, where the time goes, and what the RKHS pa
 bench-gpu: setup  ## physics, updates and runs on a GPU, in under 8 minutes; DEVICE=cpu tries every case small; GPU_ARGS="--only service"
 	@$(BIN)/python -m benchmarks.gpu --device $(DEVICE) $(GPU_ARGS)
 
+PEERS := build/peers/.venv
+
+peers: $(PEERS)/.ready  ## the peers (SB3, SBX, EnvPool, rsl_rl, PyTorch) in an environment of their own, build/peers/.venv: 3 GB
+
+$(PEERS)/.ready: benchmarks/peers/requirements.txt benchmarks/peers/zoo.txt benchmarks/peers/requirements.in
+	@echo "peers: installing the pinned peers in $(PEERS) (some minutes)"
+	@$(PYTHON) -m venv $(PEERS)
+	@$(PEERS)/bin/python -m pip install -q --disable-pip-version-check $$(grep '^torch==' benchmarks/peers/requirements.in)
+	@$(PEERS)/bin/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes \
+		-r benchmarks/peers/requirements.txt -r benchmarks/peers/zoo.txt
+	@touch $@
+
+race-smoke: setup peers  ## each entrant of the race for half a minute, and the table: whether all of it works
+	@$(BIN)/python -m benchmarks.race --smoke --seeds 0 --entrants default reference sb3 sbx
+	@$(BIN)/python -m benchmarks.race.draw --results build/race-smoke --out build/race-smoke/drawn
+
 paper-smoke: setup  ## every experiment of the paper, very small, run and drawn: whether all of it works, in a few minutes
 	@rm -rf build/paper-smoke
 	@JAX_DISABLE_MOST_OPTIMIZATIONS=1 $(BIN)/reskpn paper run --scale smoke --here --results build/paper-smoke/results
 	@$(BIN)/reskpn paper draw --scale smoke --results build/paper-smoke/results --out build/paper-smoke/drawn
+
+LOCK_PEERS := --python-version 3.11 --python-platform x86_64-unknown-linux-gnu --generate-hashes --no-emit-index-url --no-header --no-annotate
 
 lock: COMPILE := $(BIN)/uv pip compile -q --python-version 3.11 --universal --generate-hashes --no-emit-index-url --no-header
 lock:  ## pin the requirements anew
@@ -79,6 +97,15 @@ lock:  ## pin the requirements anew
 	@$(COMPILE) --extra cuda -c requirements/run.txt pyproject.toml -o requirements/cuda.txt
 	@$(COMPILE) --extra tensorboard -c requirements/run.txt pyproject.toml -o requirements/tensorboard.txt
 	@printf 'setuptools\nwheel\n' | $(COMPILE) -c requirements/dev.txt - -o requirements/build.txt
+
+lock-peers:  ## pin the peers anew; torch and what its CUDA build brings are left out
+	@$(BIN)/uv pip compile -q $(LOCK_PEERS) -c requirements/run.txt pyproject.toml benchmarks/peers/requirements.in \
+		-o benchmarks/peers/all.txt
+	@$(BIN)/uv pip compile -q $(LOCK_PEERS) -c requirements/run.txt pyproject.toml benchmarks/peers/requirements.in \
+		$$(grep -oE '^(nvidia|cuda|triton|torch)[a-z0-9-]*==' benchmarks/peers/all.txt | sed 's/==//; s/^/--no-emit-package /') \
+		-o benchmarks/peers/requirements.txt
+	@$(BIN)/uv pip compile -q $(LOCK_PEERS) --no-deps benchmarks/peers/zoo.in -o benchmarks/peers/zoo.txt
+	@rm benchmarks/peers/all.txt
 
 clean:  ## remove the environment and caches, not the runs
 	@rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -15,7 +15,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -30,6 +30,7 @@ from common.errors import ReskpnError
 from common.physics import engines
 from common.physics.environments import BatchedEnvironment, EnvState, make_environment
 from common.runtime import enable_compilation_cache
+from common.tasks import EPISODE_LENGTH
 
 Parameters = dict[str, Any]
 Learned = tuple[Parameters, optax.OptState]
@@ -58,6 +59,8 @@ class Recipe:
     value_coefficient: float = 0.5
     dpo_alpha: float = 2.0
     dpo_beta: float = 0.6
+    episode_length: int = EPISODE_LENGTH
+    new_states: bool = False  # each episode starts in a state drawn anew
 
     @property
     def optimiser(self) -> optax.GradientTransformation:
@@ -175,7 +178,8 @@ def collect(
     def one_step(world: World, key: Array) -> tuple[World, tuple[Step, tuple[Array, Array]]]:
         mean = run_tower(parameters["actor"], world.observation)
         action = mean + jnp.exp(parameters["log_std"]) * jax.random.normal(key, mean.shape)
-        envs, now = environment.step(world.envs, jnp.clip(action, -1.0, 1.0))
+        reset_key = jax.random.fold_in(key, 1) if recipe.new_states else None
+        envs, now = environment.step(world.envs, jnp.clip(action, -1.0, 1.0), reset_key)
         done = now.terminated | now.truncated
         observations, observation = observe(world.observations, now.obs)
         returns, running_return, reward = scale_reward(
@@ -258,9 +262,11 @@ def update(recipe: Recipe, learned: Learned, rollout: Step, last_observation: Ar
     return jax.lax.scan(minibatch, learned, rows)[0]
 
 
-def train(recipe: Recipe, updates: int, seed: int) -> dict[str, Any]:
-    """Train; returns the sum of returns and number of episodes that ended in each update's rollout, and the speed."""
-    environment = make_environment(recipe.task, recipe.physics, num_envs=recipe.num_envs)
+def training(recipe: Recipe, updates: int, seed: int) -> Iterator[tuple[float, int]]:
+    """Train; yields the sum of returns and the number of the episodes that ended in each update's rollout."""
+    environment = make_environment(
+        recipe.task, recipe.physics, num_envs=recipe.num_envs, episode_length=recipe.episode_length
+    )
 
     @jax.jit
     def begin() -> tuple[Learned, World, Array]:
@@ -273,12 +279,18 @@ def train(recipe: Recipe, updates: int, seed: int) -> dict[str, Any]:
     run_collect = jax.jit(partial(collect, recipe, environment))
     run_update = jax.jit(partial(update, recipe))
     learned, world, keys = begin()
-    return_sum, episodes, times = [], [], []
     for collect_key, update_key in keys:
         world, (rollout, ended) = run_collect(learned[0], world, collect_key)
         learned = jax.block_until_ready(run_update(learned, rollout, world.observation, update_key))
-        return_sum.append(float(np.sum(ended[0])))
-        episodes.append(int(np.sum(ended[1])))
+        yield float(np.sum(ended[0])), int(np.sum(ended[1]))
+
+
+def train(recipe: Recipe, updates: int, seed: int) -> dict[str, Any]:
+    """Train; returns the sum of returns and number of episodes that ended in each update's rollout, and the speed."""
+    return_sum, episodes, times = [], [], []
+    for total, count in training(recipe, updates, seed):
+        return_sum.append(total)
+        episodes.append(count)
         times.append(time.perf_counter())
     steps = (updates - 1) * recipe.num_envs * recipe.num_steps  # the first update compiles
     speed = steps / (times[-1] - times[0]) if steps else None
