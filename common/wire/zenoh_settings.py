@@ -37,7 +37,7 @@ def zenoh_settings(
         },
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-        "transport/shared_memory/enabled": False,
+        "transport/shared_memory/enabled": False,  # docs/decisions/0048-no-shared-memory.md
         "transport/link/rx/max_message_size": max_message_size + _FRAMING_BYTES,
         "transport/unicast/max_sessions": max_sessions(raise_descriptor_limit()),
         "transport/link/tx/lease": round(lease_s * 1000),
