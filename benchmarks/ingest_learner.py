@@ -55,7 +55,7 @@ class Server:
         self._settings = settings
         self._hub = hub
         self._log = log
-        self._arrays = to_arrays(PolicyReader(settings).template)
+        self._arrays = to_arrays(PolicyReader(settings).initial())
         self.version = 0
         self.snapshot_bytes = len(hub.publish(make_snapshot(RUN, 0, self._arrays), collect=False))
 

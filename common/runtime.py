@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import platform
 import subprocess
@@ -9,6 +11,8 @@ from importlib import metadata
 from pathlib import Path
 
 import jax
+
+from common.numerical_environment import numerical_environment
 
 PACKAGES = (
     "reskpn",
@@ -63,12 +67,19 @@ def cpu_model() -> str:
 
 
 def enable_compilation_cache() -> None:
-    """Keep JAX's compiled programs in $RESKPN_CACHE_DIR or the user's cache directory."""
+    """Keep JAX's compiled programs in $RESKPN_CACHE_DIR or the user's cache directory.
+
+    To be called once everything that decides bits is set: the programs of each numerical environment, number of cores
+    and processor have a folder of their own, since JAX does not tell them all apart.
+    """
     chosen = os.environ.get(CACHE_VARIABLE) or os.path.join(
         os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "reskpn"
     )
-    jax.config.update("jax_compilation_cache_dir", str(Path(chosen) / "jax"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
+    decides = [numerical_environment(), len(os.sched_getaffinity(0)), cpu_model()]
+    known = hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()
+    jax.config.update("jax_compilation_cache_dir", str(Path(chosen) / "jax" / known[:16]))
+    # The many small programs of a start take longer to compile than all that is read.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def source_commit() -> str:

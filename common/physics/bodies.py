@@ -17,7 +17,7 @@ Scales = dict[str, jax.Array]
 WITHOUT_MJX = ("plastic",)
 """Carried fields that MJX does not have: there they keep their first value."""
 
-BindFields = Callable[[], tuple[np.ndarray, ...]]
+WriteFields = Callable[[Sequence[np.ndarray]], None]
 
 
 class State(Protocol):
@@ -102,8 +102,8 @@ class Layout(Protocol):
         """The shapes of one simulation's results, in the order of `bind`."""
         ...
 
-    def bind(self, batch: Any) -> BindFields:
-        """Bind fields of the native engine's batch; returns the function that reads the results, [N, ...] float32."""
+    def bind(self, batch: Any) -> WriteFields:
+        """Bind fields of the native engine's batch; returns what writes them into results, [N, ...] float32."""
         ...
 
     def state(self, results: Sequence[jax.Array], scales: Scales) -> Any:
@@ -135,24 +135,22 @@ class FrameLayout:
         positions, velocities, bodies = self._sizes
         return (positions,), (velocities,), (bodies, 3), (bodies, 4), (bodies, 6), (bodies, 3), (velocities,)
 
-    def bind(self, batch: Any) -> BindFields:
+    def bind(self, batch: Any) -> WriteFields:
         names = ("qpos", "qvel", "qacc_warmstart", "xpos", "xquat", "cvel", "subtree_com")
         qpos, qvel, warmstart, xpos, xquat, cvel, subtree_com = (batch.bind(name) for name in names)
+        frames = xpos[:, 1:]
+        fields = qpos, qvel, frames, xquat[:, 1:], cvel[:, 1:], warmstart
         root = batch.model.body_rootid[1:]
         # A slice, where all bodies belong to one tree, is subtracted without being gathered first.
         root = slice(root[0], root[0] + 1) if (root == root[0]).all() else root
 
-        def results() -> tuple[np.ndarray, ...]:
-            frames = xpos[:, 1:]
-            lever = np.subtract(frames, subtree_com[:, root], out=np.empty(frames.shape, np.float32))
-            # Copies, since the next call overwrites the batch's own arrays.
-            q, qd, x, rot, velocity, solved = (
-                array.astype(np.float32, order="C")
-                for array in (qpos, qvel, frames, xquat[:, 1:], cvel[:, 1:], warmstart)
-            )
-            return q, qd, x, rot, velocity, lever, solved
+        def write(results: Sequence[np.ndarray]) -> None:
+            *others, lever, solved = results
+            for result, values in zip((*others, solved), fields, strict=True):
+                result[:] = values
+            np.subtract(frames, subtree_com[:, root], out=lever, casting="same_kind")
 
-        return results
+        return write
 
     def state(self, results: Sequence[jax.Array], scales: Scales) -> Bodies:
         q, qd, xpos, xquat, cvel, lever, warmstart = results

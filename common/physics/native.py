@@ -17,6 +17,7 @@ from common.cores import usable_cores
 from common.errors import PhysicsError
 from common.physics.bodies import FrameLayout, Layout, Scales
 from common.physics.engines import NATIVE
+from common.physics.host_functions import HostFunction
 from common.physics.mujoco_log import DIVERGED
 from common.physics.randomisation import scaled_fields
 
@@ -25,8 +26,9 @@ class NativeEngine:
     """Steps `num_envs` simulations of one model with `mujoco.batch`, in float64 between float32 states.
 
     `reset` and `step` are written for one simulation, as tasks are, and must be mapped with `jax.vmap` over
-    exactly `num_envs` of them; the map turns them into one host callback for the batch. A call loads each simulation's
-    complete state, so that results depend on the arguments alone, not on earlier calls or the number of threads.
+    exactly `num_envs` of them; the map turns them into one call on the host for the batch. A call loads each
+    simulation's complete state, so that results depend on the arguments alone, not on earlier calls or the number of
+    threads.
 
     MuJoCo resets a simulation whose state is not finite or exceeds 1e10 to the model's defaults. Its state is reported
     as NaN here, as with `mjx`, so that the caller notices.
@@ -49,45 +51,48 @@ class NativeEngine:
         self._substeps = substeps
         self._sizes = model.nu, model.nv
         self._seconds = 0.0
+        self._functions: dict[tuple[str, ...], HostFunction] = {}
         # Programs on different threads may share this engine, but a batch serves one caller at a time.
         self._lock = threading.Lock()
 
     @functools.cached_property
     def _arrays(self) -> _BatchArrays:
-        """The batch with its arrays, made in the first host callback.
+        """The batch with its arrays, made in the first call on the host.
 
-        JAX runs callbacks with denormal numbers flushed to zero. The batch's threads take over the mode of the thread
-        that starts them; started anywhere else, they would treat denormals differently from the calling thread, which
-        steps simulations as well, and results would depend on which thread steps which simulation.
+        XLA makes these calls with denormal numbers flushed to zero. The batch's threads take over the mode of the
+        thread that starts them; started anywhere else, they would treat denormals differently from the calling thread,
+        which steps simulations as well, and results would depend on which thread steps which simulation.
         """
         return _BatchArrays(self._make_batch(), self._layout)
 
     def reset(self, q: jax.Array, qd: jax.Array, scales: Scales | None = None) -> Any:
         commands, velocities = self._sizes
         first = (jnp.asarray(field, jnp.float32) for field in self._layout.first())
-        return self._call(_forward, (q, qd, jnp.zeros(commands), jnp.zeros(velocities), *first), scales or {})
+        return self._call(self._forward, (q, qd, jnp.zeros(commands), jnp.zeros(velocities), *first), scales or {})
 
     def step(self, state: Any, ctrl: jax.Array) -> Any:
-        advance = functools.partial(_step, nstep=self._substeps)
         carried = self._layout.carried_of(state)
-        return self._call(advance, (state.q, state.qd, ctrl, state.warmstart, *carried), state.scales)
+        return self._call(self._advance, (state.q, state.qd, ctrl, state.warmstart, *carried), state.scales)
 
     def seconds(self) -> float:
         """Seconds spent inside MuJoCo's batch calls so far."""
         return self._seconds
 
     def _call(self, run: Callable[[Any], None], inputs: Sequence[jax.Array], scales: Scales) -> Any:
-        results = jax.pure_callback(
-            functools.partial(self._on_host, run, tuple(scales)),
-            tuple(jax.ShapeDtypeStruct(shape, jnp.float32) for shape in self._layout.shapes()),
-            *inputs,
-            *scales.values(),
-            vmap_method="broadcast_all",
-        )
+        known = (run.__name__, *scales)
+        if known not in self._functions:
+            self._functions[known] = HostFunction(functools.partial(self._on_host, run, tuple(scales)))
+        results = self._functions[known]((*inputs, *scales.values()), self._layout.shapes())
         return self._layout.state(results, scales)
 
-    def _on_host(self, run: Callable[[Any], None], scaled: tuple[str, ...], *inputs: Any) -> tuple[np.ndarray, ...]:
-        """Run `run` on the batch; [N, ...] float32 results.
+    def _on_host(
+        self,
+        run: Callable[[Any], None],
+        scaled: tuple[str, ...],
+        inputs: Sequence[np.ndarray],
+        results: Sequence[np.ndarray],
+    ) -> None:
+        """Run `run` on the batch, into [N, ...] results.
 
         `inputs`: qpos [N, nq], qvel [N, nv], ctrl [N, nu], warm start [N, nv], what is carried, and the factors [N] of
         what is `scaled`.
@@ -97,11 +102,10 @@ class NativeEngine:
             state = inputs[: len(inputs) - len(scaled)]
             arrays.load(state, dict(zip(scaled, inputs[len(state) :], strict=True)))
             lost = self._timed(run, arrays.batch)
-            results = arrays.results()
+            arrays.write(results)
         if lost.any():
             for result in results:
                 result[lost] = np.nan
-        return results
 
     def _timed(self, run: Callable[[Any], None], batch: Any) -> np.ndarray:
         """Run the batch; returns the simulations [N] (bool) that diverged."""
@@ -113,6 +117,12 @@ class NativeEngine:
         finally:
             self._seconds += time.perf_counter() - started
         return (batch.status != 0) | batch.warning[:, DIVERGED, 1].any(axis=1)
+
+    def _forward(self, batch: Any) -> None:
+        batch.forward()
+
+    def _advance(self, batch: Any) -> None:
+        batch.step(nstep=self._substeps)
 
 
 class _BatchArrays:
@@ -126,7 +136,7 @@ class _BatchArrays:
         self._rest = [batch.bind(name) for name in changing if name not in layout.carried]
         self._defaults = [field.copy() for field in self._rest]
         self._inputs = [batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qacc_warmstart", *layout.carried)]
-        self.results = layout.bind(batch)
+        self.write = layout.bind(batch)
 
     def load(self, inputs: Sequence[Any], scales: dict[str, Any]) -> None:
         """Set the complete state of each simulation, the defaults and `inputs`, and its randomised model fields."""
@@ -134,17 +144,9 @@ class _BatchArrays:
             field[:] = default
         self.batch.warning[:] = 0
         for field, given in zip(self._inputs, inputs, strict=True):
-            field[:] = np.asarray(given)
+            field[:] = given
         for name, values in scaled_fields(self.batch.model, scales, np):
             self.batch.expand(name)[:] = values
-
-
-def _forward(batch: Any) -> None:
-    batch.forward()
-
-
-def _step(batch: Any, nstep: int) -> None:
-    batch.step(nstep=nstep)
 
 
 def _batch_engine() -> tuple[Callable[[mujoco.MjModel, int, int], Any], type[RuntimeError]]:

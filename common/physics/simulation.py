@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from common.errors import SettingsError
-from common.physics.bodies import WITHOUT_MJX, BindFields, Scales
+from common.physics.bodies import WITHOUT_MJX, Scales, WriteFields
 from common.suggestions import unknown_name
 
 READABLE = (
@@ -106,18 +106,14 @@ class ReadingLayout:
         kinds = {name: "carried" for name in self.carried} | {name: "read" for name in self._reads}
         return {f"{kind}/{name}": self._shapes[name] for name, kind in kinds.items()}
 
-    def bind(self, batch: Any) -> BindFields:
+    def bind(self, batch: Any) -> WriteFields:
         bound = [batch.bind(name) for name in self._shapes]
-        shapes = [(batch.nsim, *shape) for shape in self._shapes.values()]
 
-        def results() -> tuple[np.ndarray, ...]:
-            # Copies, since the next call overwrites the batch's own arrays.
-            return tuple(
-                np.array(array, np.float32, order="C").reshape(shape)
-                for array, shape in zip(bound, shapes, strict=True)
-            )
+        def write(results: Sequence[np.ndarray]) -> None:
+            for result, field in zip(results, bound, strict=True):
+                result[:] = field.reshape(result.shape)
 
-        return results
+        return write
 
     def state(self, results: Sequence[jax.Array], scales: Scales) -> Simulation:
         return self._state(dict(zip(self._shapes, results, strict=True)), scales)

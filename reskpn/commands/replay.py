@@ -49,10 +49,10 @@ def verify_run(path: Path, until: int | None, public_key: Path | None = None) ->
     chain = ChainCheck(None if public_key is None else Verifier(public_key))
     run = open_run(path)
     updates_to_read(run, until)
-    enable_compilation_cache()
     origins = run.origins()
     for note in adopt(run.metadata().get("environment", {}), origins[0].get("cores", "")):
         print(note)
+    enable_compilation_cache()
     found = differences(origins, origin(source_commit(), software_versions(), hardware(), numerical_environment()))
     trainer = Trainer(run.settings)
     begins = read_beginning(run)

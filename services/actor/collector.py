@@ -79,7 +79,7 @@ class Collector:
     def compile(self) -> None:
         """Reset the environments and compile the rollout program ahead of the first `collect`."""
         self._state = jax.block_until_ready(self._environment.reset(jax.random.fold_in(self._key, RESET)))
-        self._collect = jax.jit(self._scan).lower(self._reader.template, self._state, self._key).compile()
+        self._collect = jax.jit(self._scan).lower(self._reader.shapes, self._state, self._key).compile()
 
     def collect(self, policy: Policy) -> tuple[CollectedRollout[np.ndarray], dict[str, float]]:
         """Make rollout number `seq` under this policy; returns it with the seconds spent in each phase.

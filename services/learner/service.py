@@ -70,12 +70,12 @@ def run_learner(
     require_authentication(settings.transport)
     require_trackers(settings.track)
     check_rollout_size(settings)
-    enable_compilation_cache()
     keep_large_blocks()
     with ExitStack() as stack:
         listener = stack.enter_context(make_listener_monitor(settings.transport))
         session = stack.enter_context(open_listener(settings.transport))
         notes = adopt_numerical_origin(settings.run_dir) if resume and settings.run_dir else []
+        enable_compilation_cache()
         readiness = stack.enter_context(health_port(settings.transport.health_port))
         resuming = _begin_to_resume(settings, session, readiness) if resume else None
         trainer = Trainer(settings)

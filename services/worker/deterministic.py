@@ -73,6 +73,10 @@ class DeterministicEpisodes:
         """Simulated seconds per step."""
         return self._environment.step_s
 
+    def compile(self) -> None:
+        """Compile the program ahead of the first `play`."""
+        self._run = jax.jit(self._scan).lower(self._reader.shapes, self._environment.reset(self._key)).compile()
+
     def play(self, policy: Policy) -> Episodes:
         """Play the first episode of each environment."""
         returns, lengths, steps = jax.device_get(self._run(policy, self._environment.reset(self._key)))

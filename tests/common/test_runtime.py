@@ -64,12 +64,38 @@ def cache_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_where_compiled_programs_are_kept(
     cache_folder: None, monkeypatch: pytest.MonkeyPatch, environment: dict[str, str], folder: str
 ) -> None:
-    """In the folder that was chosen, else the user's; those that took a second or more to compile."""
+    """In the folder that was chosen, else the user's; all of them, however quickly they were compiled."""
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     enable_compilation_cache()
-    assert jax.config.jax_compilation_cache_dir == folder
-    assert jax.config.jax_persistent_cache_min_compile_time_secs == 1.0
+    assert str(Path(jax.config.jax_compilation_cache_dir).parent) == folder
+    assert jax.config.jax_persistent_cache_min_compile_time_secs == 0.0
+
+
+def test_programs_of_other_numerical_environments_are_kept_apart(
+    cache_folder: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What decides bits and is no part of JAX's own key chooses the folder; what decides none does not."""
+
+    def folder() -> str:
+        enable_compilation_cache()
+        return str(jax.config.jax_compilation_cache_dir)
+
+    for name in ("NPROC", "OMP_NUM_THREADS", "JAX_LOG_COMPILES"):
+        monkeypatch.delenv(name, raising=False)
+    folders = [folder()]
+    monkeypatch.setenv("JAX_LOG_COMPILES", "0")
+    assert folder() == folders[0]
+    monkeypatch.setenv("NPROC", "1")
+    folders.append(folder())
+    monkeypatch.setenv("NPROC", "2")
+    folders.append(folder())
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(77)))
+    folders.append(folder())
+    monkeypatch.setattr(runtime, "cpu_model", lambda: "Another Processor")
+    folders.append(folder())
+    assert len(set(folders)) == 5
+    monkeypatch.undo()
 
 
 # -- the commit --------------------------------------------------------------------------------------------

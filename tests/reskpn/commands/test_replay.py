@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -100,6 +101,17 @@ def test_verify_says_that_all_agree(said: Said, run_dir: Path) -> None:
     assert "versions, hardware and commit are those of the run\n" in out
     assert " s where the run took 3.0 s: " in out
     assert "FALLBACK" not in out
+
+
+def test_verify_takes_compiled_programs_of_the_runs_number_of_threads(
+    said: Said, recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The cache is chosen once NPROC is the run's."""
+    found: list[str | None] = []
+    monkeypatch.setenv("NPROC", "1")
+    monkeypatch.setattr(common.runtime, "enable_compilation_cache", lambda: found.append(os.environ.get("NPROC")))
+    said(write_log(tmp_path / "a", recording.messages, environment={"NPROC": "7"}), "--verify")
+    assert found == ["7"]
 
 
 def test_verify_says_that_the_chain_holds(said: Said, recording: Recording, tmp_path: Path) -> None:

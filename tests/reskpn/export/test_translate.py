@@ -58,7 +58,7 @@ def test_policies_of_every_learner_kernel_and_representation(learner: str, repre
         task="hopper", learner=learner, rkhs=rkhs, algorithm=SMALL, num_envs=64, num_steps=8, total_steps=4096, actors=1
     )  # fmt: skip
     reader = PolicyReader(settings)
-    policy = bent(reader.template)
+    policy = bent(reader.initial())
 
     def act(observation: Array) -> list[Array]:
         return [clipped(reader.mode(policy, observation))]

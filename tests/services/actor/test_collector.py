@@ -56,7 +56,7 @@ def environment(quick_compiler: None) -> BatchedEnvironment:
 def policy(reader: PolicyReader) -> Policy:
     """A policy in which every part is at work: noise on all parameters, centres with weights, whitened observations."""
     rng = np.random.default_rng(3)
-    arrays = to_arrays(reader.template)
+    arrays = to_arrays(reader.initial())
     for path, array in arrays.items():
         if array.dtype == np.float32 and path.split("/")[0] in ("parameters", "expansion"):
             arrays[path] = array + rng.normal(0.0, 0.3, array.shape).astype(np.float32)
@@ -124,7 +124,7 @@ def test_until_it_is_kept_a_rollout_is_made_again(
     seq = collector.seq
     first, second = arrays_of(collect(collector, policy)), arrays_of(collect(collector, policy))
     assert_same(first, second)
-    other = arrays_of(collect(collector, reader.template))
+    other = arrays_of(collect(collector, reader.initial()))
     np.testing.assert_array_equal(other["obs"][0], first["obs"][0])
     assert (other["action"] != first["action"]).any()
     assert_same(arrays_of(collect(collector, policy)), first)
@@ -376,7 +376,7 @@ def test_the_engine_is_known(used: tuple[Collector, list[Rollout]]) -> None:
 
 def test_a_snapshot_of_other_settings_is_refused(reader: PolicyReader) -> None:
     """An array of another shape, one too many and one too few are errors, not a policy."""
-    arrays = to_arrays(reader.template)
+    arrays = to_arrays(reader.initial())
     name = "parameters/log_std"
     assert name in arrays
     for wrong in (
@@ -392,9 +392,9 @@ def test_the_template_is_the_policy_before_the_first_update(reader: PolicyReader
     """h = 0 there: the mean is the residual layer's alone."""
     obs = np.ones((3, 4), np.float32)
     run = jax.jit(partial(act, reader.networks, make_representation(SETTINGS), normalise=True))
-    mean = run(reader.template, obs)
+    mean = run(reader.initial(), obs)
     np.testing.assert_array_equal(mean.rkhs, np.zeros((3, 1)))
-    np.testing.assert_array_equal(jax.jit(reader.mode)(reader.template, obs), mean.residual)
+    np.testing.assert_array_equal(jax.jit(reader.mode)(reader.initial(), obs), mean.residual)
 
 
 # -- evaluation --------------------------------------------------------------------------------------------

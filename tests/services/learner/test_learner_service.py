@@ -191,6 +191,28 @@ def test_a_run_that_cannot_listen_leaves_no_directory(tmp_path: Path, monkeypatc
     assert not (tmp_path / "run").exists()
 
 
+def test_a_resumed_learner_takes_compiled_programs_of_the_environment_it_adopts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The cache is chosen after the threads and cores of the run were taken over: others may give other bits."""
+    order = []
+
+    def adopt(run_dir: Path) -> list[str]:
+        order.append("adopted")
+        return []
+
+    def choose_cache() -> None:
+        order.append("cache")
+        raise LogReadError("stopped by the test")
+
+    monkeypatch.setattr(service, "adopt_numerical_origin", adopt)
+    monkeypatch.setattr(service, "enable_compilation_cache", choose_cache)
+    given = settings(run_dir=tmp_path, transport={"endpoint": f"tcp/127.0.0.1:{free_port()}"})
+    with pytest.raises(LogReadError, match="stopped by the test"):
+        service.run_learner(given, stop=threading.Event(), resume=True)
+    assert order == ["adopted", "cache"]
+
+
 def test_a_learner_answers_while_it_reads_its_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Status, the health port and joins say how far it is, from before the log is read: however long that takes, the
     learner is alive, and not ready."""
