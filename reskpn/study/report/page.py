@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from common.config.settings import RunSettings
+from common.config.presets import default_settings
 from reskpn.study.recorded import RunRecord, result_of
 from reskpn.study.report import pictures
 
@@ -25,7 +25,7 @@ body { font: 15px/1.45 system-ui, sans-serif; color: #1c1c1c; background: #fff; 
   padding: 1rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.1rem; margin: 1.6rem 0 .4rem; }
 .pictures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 30rem), 1fr)); gap: 1rem; }
-figure { margin: 0; break-inside: avoid; } figure svg { width: 100%; height: auto; }
+figure { margin: .6rem 0 0; break-inside: avoid; } figure svg { width: 100%; height: auto; }
 figcaption { color: #444; font-size: .9rem; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-size: .85rem; }
@@ -123,7 +123,7 @@ def _events(records: Sequence[RunRecord]) -> str:
 
 def _settings(records: Sequence[RunRecord]) -> str:
     """All settings, those first in which a run differs from the defaults or from another run."""
-    defaults = _leaves(RunSettings().model_dump(mode="json", exclude=PRIVATE))
+    defaults = _leaves(default_settings().model_dump(mode="json", exclude=PRIVATE))
     trees = [_leaves(record.settings.model_dump(mode="json", exclude=PRIVATE)) for record in records]
     header = ["setting", *(record.run for record in records)]
 
