@@ -17,7 +17,7 @@ INVERTED_PENDULUM := --total-steps 6e5
 CHAOS_POINTS ?= 20
 CHAOS_SEED ?=
 
-.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench bench-gpu paper-smoke peers race-smoke lock lock-peers clean
+.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench bench-gpu paper-smoke peers race-smoke check-statistics lock lock-peers clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -83,6 +83,16 @@ race-smoke: setup peers  ## each entrant of the race for half a minute, and the 
 	@$(BIN)/python -m benchmarks.race --smoke --seeds 0 --entrants default reference sb3 sbx
 	@$(BIN)/python -m benchmarks.race.draw --results build/race-smoke --out build/race-smoke/drawn
 
+RLIABLE := build/rliable/.venv
+
+check-statistics: setup $(RLIABLE)/.ready  ## the study's statistics beside rliable's, in an environment of its own
+	@$(BIN)/python -m benchmarks.statistics
+
+$(RLIABLE)/.ready: benchmarks/statistics/requirements.txt
+	@$(PYTHON) -m venv $(RLIABLE)
+	@$(RLIABLE)/bin/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r benchmarks/statistics/requirements.txt
+	@touch $@
+
 paper-smoke: setup  ## every experiment of the paper, very small, run and drawn: whether all of it works, in a few minutes
 	@rm -rf build/paper-smoke
 	@JAX_DISABLE_MOST_OPTIMIZATIONS=1 $(BIN)/reskpn paper run --scale smoke --here --results build/paper-smoke/results
@@ -106,6 +116,7 @@ lock-peers:  ## pin the peers anew; torch and what its CUDA build brings are lef
 		-o benchmarks/peers/requirements.txt
 	@$(BIN)/uv pip compile -q $(LOCK_PEERS) --no-deps benchmarks/peers/zoo.in -o benchmarks/peers/zoo.txt
 	@rm benchmarks/peers/all.txt
+	@$(BIN)/uv pip compile -q $(LOCK_PEERS) benchmarks/statistics/requirements.in -o benchmarks/statistics/requirements.txt
 
 clean:  ## remove the environment and caches, not the runs
 	@rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
