@@ -13,6 +13,10 @@ import numpy as np
 from rliable import library, metrics
 
 
+PROFILE_RESAMPLES = 10
+"""For intervals of the profile, which are not compared."""
+
+
 def main() -> None:
     given = json.load(sys.stdin)
     x, y = (np.asarray(given[name]) for name in ("x", "y"))
@@ -21,11 +25,11 @@ def main() -> None:
     better, better_ends = estimate(
         {"x": (x, y)}, metrics.probability_of_improvement, given["resamples"]["probability of improvement"]
     )
-    profile = library.run_score_deviation(x, thresholds)
+    profiles, _ = library.create_performance_profile({"x": x}, thresholds, reps=PROFILE_RESAMPLES)
     found = {
         "interquartile mean": [mean, *mean_ends],
         "probability of improvement": [better, *better_ends],
-        "performance profile": np.asarray(profile).tolist(),
+        "performance profile": np.asarray(profiles["x"]).tolist(),
     }
     print(json.dumps(found))
 
