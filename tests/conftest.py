@@ -3,8 +3,11 @@
 JAX itself is imported only for tests that may use it: those of log and wire do without, and are quicker so.
 """
 
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
@@ -24,3 +27,15 @@ def pytest_pycollect_makemodule(module_path: Path) -> None:
         import jax
 
         jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
+@pytest.fixture(autouse=True)
+def _the_environment_stays() -> Iterator[None]:
+    """Put back what a command changed in this process's environment: it is the next test's, too."""
+    before = dict(os.environ)
+    yield
+    for name in os.environ.keys() - before.keys() - {"PYTEST_CURRENT_TEST"}:
+        del os.environ[name]
+    for name, value in before.items():
+        if name != "PYTEST_CURRENT_TEST" and os.environ.get(name) != value:
+            os.environ[name] = value

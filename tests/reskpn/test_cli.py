@@ -51,7 +51,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[RunSettings]:
     """Instead of training: the settings that `train` was called with."""
     calls: list[RunSettings] = []
 
-    def train(settings: RunSettings, *, page: bool = False) -> int:
+    def train(settings: RunSettings, *, page: bool = False, trace: object = None) -> int:
         calls.append(settings)
         return 0
 
@@ -299,7 +299,7 @@ def test_every_error_has_its_exit_code(
 ) -> None:
     """Those of errors that need a run to happen; its sentence is all that is printed."""
 
-    def train(settings: RunSettings, *, page: bool = False) -> int:
+    def train(settings: RunSettings, *, page: bool = False, trace: object = None) -> int:
         raise error("what happened and what to do")
 
     monkeypatch.setattr(reskpn.supervision.supervisor, "train", train)
@@ -309,7 +309,7 @@ def test_every_error_has_its_exit_code(
 def test_a_mistake_of_the_program_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is not this package's error keeps its traceback."""
 
-    def train(settings: RunSettings, *, page: bool = False) -> int:
+    def train(settings: RunSettings, *, page: bool = False, trace: object = None) -> int:
         raise ZeroDivisionError
 
     monkeypatch.setattr(reskpn.supervision.supervisor, "train", train)

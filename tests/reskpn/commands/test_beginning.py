@@ -41,7 +41,9 @@ def test_a_new_run_with_other_settings(run_dir: Path, monkeypatch: pytest.Monkey
     """What is given on the command line counts, the rest is the origin's; the learner is told where to begin."""
     begun: list[tuple[RunSettings, Any]] = []
     monkeypatch.setattr(
-        reskpn.supervision.supervisor, "train", lambda settings, *, origin, page: begun.append((settings, origin)) or 0
+        reskpn.supervision.supervisor,
+        "train",
+        lambda settings, *, origin, page, trace: begun.append((settings, origin)) or 0,
     )
     words = ["--algorithm.learning-rate", "1e-5", "--total-steps", "6400"]
     assert main(["train", "--from", f"{run_dir}@3", *words]) == 0
