@@ -8,9 +8,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from benchmarks.race.entrants import ENVIRONMENTS, Entrant, Run, entrant, known_task
-from benchmarks.race.records import RESULTS, RaceResult, find, path_of, write_result
+from benchmarks.race.records import RESULTS, RaceResult, find, path_of
 from benchmarks.race.running import race
 from common.errors import ReskpnError, SettingsError
+from reskpn.study.writing import write_result
 
 SMOKE_MINUTES = 0.5
 

@@ -10,8 +10,7 @@ from pydantic import ValidationError
 from benchmarks.race.entrants import Entrant
 from benchmarks.race.wall import WallCurve
 from common.config.kinds import Section
-from common.errors import LogReadError, LogWriteError
-from common.runs.directory import write_json
+from common.errors import LogReadError
 
 FORMAT = 1
 
@@ -78,15 +77,3 @@ def find(folder: Path, entrant: Entrant, task: str, seed: int, minutes: float) -
 def read_all(folder: Path) -> list[RaceResult]:
     """All results in a folder, by their files' names. LogReadError as `read_result`."""
     return [read_result(path) for path in sorted(folder.rglob("*.json"))]
-
-
-def write_result(result: RaceResult, path: Path) -> None:
-    """Write it whole or not at all; LogWriteError where it cannot be written."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_json(path, result.model_dump(mode="json"), indent=None)
-    except OSError as error:
-        raise LogWriteError(
-            f"{path} cannot be written ({error.strerror}); make room or fix its permissions, then give the command "
-            "again: the results that are there are kept"
-        ) from None

@@ -1,4 +1,4 @@
-"""Writes a result to its file, with its origin."""
+"""Writes a result of a study or a race to its file; the origin of a result."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from common.config.kinds import Section
 from common.errors import LogWriteError
 from common.runs.directory import write_json
 from common.runtime import hardware, software_versions, source_commit
-from reskpn.study.results import Result
 
 
 def origin() -> dict[str, Any]:
@@ -28,7 +28,7 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def write_result(result: Result, path: Path) -> None:
+def write_result(result: Section, path: Path) -> None:
     """Write it whole or not at all; LogWriteError where it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -12,9 +12,10 @@ import pytest
 
 from benchmarks.race import __main__ as race_command
 from benchmarks.race.entrants import OTHERS, Entrant, Run
-from benchmarks.race.records import find, path_of, read_all, read_result, write_result
+from benchmarks.race.records import find, path_of, read_all, read_result
 from benchmarks.race.running import race
 from common.errors import LogReadError, ProcessError, SettingsError
+from reskpn.study.writing import write_result
 from tests.benchmarks.race.results import result
 
 SHORT_MINUTES = 0.1

@@ -8,9 +8,10 @@ import pytest
 
 from benchmarks.race import draw as draw_command
 from benchmarks.race.entrants import entrant
-from benchmarks.race.records import path_of, write_result
+from benchmarks.race.records import path_of
 from benchmarks.race.standings import current, draw, standings
 from common.errors import LogReadError
+from reskpn.study.writing import write_result
 from tests.benchmarks.race.results import result
 
 THREE = [100.0, 500.0, 900.0]
