@@ -8,6 +8,7 @@ from typing import Any
 
 from common.config.kinds import Section
 from common.errors import LogWriteError
+from common.remedies import remedy
 from common.runs.directory import write_json
 from common.runtime import hardware, software_versions, source_commit
 
@@ -35,6 +36,6 @@ def write_result(result: Section, path: Path) -> None:
         write_json(path, result.model_dump(mode="json"), indent=None)
     except OSError as error:
         raise LogWriteError(
-            f"{path} cannot be written ({error.strerror}); make room or fix its permissions, then give the command "
-            "again: the results that are there are kept"
+            f"{path} cannot be written ({error.strerror or error}); {remedy(error)}, then give the command again: the "
+            "results that are there are kept"
         ) from None

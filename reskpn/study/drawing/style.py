@@ -11,6 +11,7 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from common.errors import LogWriteError
+from common.remedies import remedy
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#6b4c9a", "#e69f00", "#56b4e9", "#222222")
 """Okabe and Ito's colours, which most people with a colour vision deficiency can tell apart, the yellow darkened."""
@@ -59,5 +60,5 @@ def save(figure: Figure, stem: Path) -> list[Path]:
             metadata = {"Date": None} if path.suffix == ".svg" else {"Software": None}
             figure.savefig(path, metadata=metadata)
     except OSError as error:
-        raise LogWriteError(f"{stem} cannot be written ({error.strerror}); make room or choose another --out") from None
+        raise LogWriteError(f"{stem} cannot be written ({error.strerror or error}); {remedy(error)} (--out)") from None
     return paths

@@ -14,6 +14,7 @@ import numpy as np
 from common.config.settings import RunSettings
 from common.errors import LogWriteError
 from common.learners import LEARNERS
+from common.remedies import remedy
 from reskpn.study.groups import Group, starting_score
 from reskpn.study.results import Result
 from reskpn.study.scoring import area_of, final_of
@@ -60,7 +61,7 @@ def write_text(path: Path, text: str) -> Path:
         beside.write_text(text, encoding="utf-8")
         beside.replace(path)
     except OSError as error:
-        raise LogWriteError(f"{path} cannot be written ({error.strerror}); make room or choose another --out") from None
+        raise LogWriteError(f"{path} cannot be written ({error.strerror or error}); {remedy(error)} (--out)") from None
     return path
 
 

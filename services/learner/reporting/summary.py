@@ -11,6 +11,7 @@ from common.config.settings import RunSettings
 from common.errors import LogWriteError
 from common.log.segments import LOG_DIRECTORY
 from common.log.writer import LogWriter
+from common.remedies import remedy
 from common.runs.directory import SUMMARY, TENSORBOARD, write_json
 from common.wire.messages import Evaluation
 from common.wire.motion import Motions, unpack
@@ -62,7 +63,7 @@ def conclude(
         write_json(run_dir / SUMMARY, summary)
     except OSError as error:
         raise LogWriteError(
-            f"cannot write {run_dir / SUMMARY}: {error.strerror}. Make room or fix its permissions and resume the run; "
+            f"cannot write {run_dir / SUMMARY}: {error.strerror or error}; {remedy(error)}, then resume the run: "
             "its log is complete"
         ) from None
 

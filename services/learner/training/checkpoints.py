@@ -8,7 +8,6 @@ environments as they were when that version was published: with both a run can g
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -20,6 +19,7 @@ import numpy as np
 from common.errors import CheckpointError, CodecError
 from common.files import create, read_bytes
 from common.log.segments import sync_directory
+from common.remedies import remedy
 from common.runs.directory import CHECKPOINTS, KEPT_CHECKPOINTS
 from common.wire.codec import Limits
 from common.wire.messages import Snapshot, digest_arrays
@@ -138,11 +138,9 @@ def _write(path: Path, content: Snapshot) -> None:
 
 
 def _failure(path: Path, error: OSError) -> CheckpointError:
-    remedy = "Make room or fix its permissions"
-    if error.errno in (errno.EMFILE, errno.ENFILE):
-        remedy = "Raise the limit on open files (ulimit -n)"
     return CheckpointError(
-        f"cannot write the checkpoint {path}: {error.strerror}. {remedy}; the log is whole and holds the run so far"
+        f"cannot write the checkpoint {path}: {error.strerror or error}; {remedy(error)}, then resume the "
+        "run: its log is whole and holds the run so far"
     )
 
 

@@ -246,7 +246,7 @@ def test_a_directory_that_cannot_be_made_is_named(tmp_path: Path) -> None:
         LogWriter(place)
     assert str(place) in str(caught.value)
     assert "by user " in str(caught.value)
-    assert "choose another run directory" in str(caught.value)
+    assert "choose another directory" in str(caught.value)
 
 
 def test_calls_that_make_no_sense_are_refused_at_once(tmp_path: Path) -> None:

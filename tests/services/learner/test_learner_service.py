@@ -104,7 +104,9 @@ def test_a_summary_that_cannot_be_written(tmp_path: Path) -> None:
     """A sentence with the remedy; the evaluation is in the log, so the run can be resumed."""
     (tmp_path / "summary.json.part").mkdir()
     with LogWriter(tmp_path / "log") as log:
-        with pytest.raises(LogWriteError, match=r"summary\.json: Is a directory\. Make room .* resume the run"):
+        with pytest.raises(
+            LogWriteError, match=r"summary\.json: Is a directory; something else is in its place.* resume the run"
+        ):
             conclude(tmp_path, log, {"complete": True}, RECORD)
         assert LogReader(tmp_path).counts() == {"/eval": 1}
 

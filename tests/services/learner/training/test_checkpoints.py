@@ -91,7 +91,10 @@ def test_the_newest_three_are_kept(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     """A sentence with the path, the reason and what to do."""
     (tmp_path / "checkpoints").write_text("a file where the folder should be")
-    with pytest.raises(CheckpointError, match=r"cannot write the checkpoint .*00000001\.ckpt: File exists. Make room"):
+    with pytest.raises(
+        CheckpointError,
+        match=r"cannot write the checkpoint .*00000001\.ckpt: File exists; something else is in its place",
+    ):
         write_checkpoint(tmp_path, snapshot(1))
 
 
