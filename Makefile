@@ -12,12 +12,13 @@ ARGS ?=
 UPDATE_ARGS ?=
 DEVICE ?= gpu
 GPU_ARGS ?=
+PEERS_ARGS ?=
 # It balances for whole episodes after 4e5 steps.
 INVERTED_PENDULUM := --total-steps 6e5
 CHAOS_POINTS ?= 20
 CHAOS_SEED ?=
 
-.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench bench-gpu paper-smoke peers race-smoke check-statistics lock lock-peers clean
+.PHONY: bench-compare bench-peers help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench bench-gpu paper-smoke peers race-smoke check-statistics lock lock-peers clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -52,7 +53,7 @@ test-install: setup  ## the wheel in an empty environment: train, export and pla
 
 test-chaos: setup  ## kill -9 at random and at the worst moments, hostile messages, slow and full disks; CHAOS_POINTS=20, CHAOS_SEED=n to repeat
 	@CHAOS_POINTS=$(CHAOS_POINTS) $(if $(CHAOS_SEED),CHAOS_SEED=$(CHAOS_SEED)) \
-		$(BIN)/python -m pytest tests/chaos -p no:randomly -rfE --tb=short
+		$(BIN)/python -m pytest tests/chaos -n 2 --dist worksteal -p no:randomly -rfE --tb=short
 
 test-pages: setup  ## the live page in headless Chromium, light and dark, wide and narrow; says so where there is none
 	@$(BIN)/python -m pytest tests/pages -p no:randomly --tb=short
@@ -63,6 +64,9 @@ lint: setup  ## style, types and import rules
 bench: setup  ## speed of the service, where the time goes, and what the RKHS part costs; ARGS="--task humanoid" UPDATE_ARGS="--only rff"
 	@$(BIN)/python -m benchmarks.service $(ARGS)
 	@$(BIN)/python -m benchmarks.update $(UPDATE_ARGS)
+
+bench-compare: setup  ## what became slower than the committed results, by ratios within one run
+	@$(BIN)/python -m benchmarks.regressions $(ARGS)
 
 bench-gpu: setup  ## physics, updates and runs on a GPU, in under 8 minutes; DEVICE=cpu tries every case small; GPU_ARGS="--only service"
 	@$(BIN)/python -m benchmarks.gpu --device $(DEVICE) $(GPU_ARGS)
@@ -82,6 +86,9 @@ $(PEERS)/.ready: benchmarks/peers/requirements.txt benchmarks/peers/zoo.txt benc
 race-smoke: setup peers  ## each entrant of the race for half a minute, and the table: whether all of it works
 	@$(BIN)/python -m benchmarks.race --smoke --seeds 0 --entrants default reference sb3 sbx
 	@$(BIN)/python -m benchmarks.race.draw --results build/race-smoke --out build/race-smoke/drawn
+
+bench-peers: setup peers  ## physics and training beside EnvPool, mujoco.rollout, Brax, SB3, SBX and rsl_rl; hours; PEERS_ARGS="--smoke" for minutes
+	@$(BIN)/python -m benchmarks.peers $(PEERS_ARGS)
 
 RLIABLE := build/rliable/.venv
 

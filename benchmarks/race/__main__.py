@@ -87,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         default=["default", "sb3", "sbx", "reference"],
         metavar="NAME",
-        help="presets or .yaml files of this project's settings, sb3, sbx, reference",
+        help="presets or .yaml files of this project's settings, sb3, sbx, reference, rsl_rl, brax",
     )
     parser.add_argument("--cores", type=int, default=2, metavar="N", help="cores that every entrant has")
     parser.add_argument("--results", type=Path, default=RESULTS, metavar="DIR", help="where results are kept")

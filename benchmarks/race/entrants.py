@@ -189,7 +189,42 @@ class StableBaselines(Entrant):
         return environment.pins(*self.packages[self.name])
 
 
-OTHERS: dict[str, Entrant] = {"sb3": StableBaselines("sb3"), "sbx": StableBaselines("sbx"), "reference": Reference()}
+class RslRl(Entrant):
+    """PPO of rsl_rl on this project's environments, in the peers' environment."""
+
+    name = "rsl_rl"
+    what = "rsl_rl: its PPO on this project's environments, sizes of Isaac Lab's ant (4,096 environments, 32 steps)"
+
+    def command(self, run: Run) -> list[str]:
+        words = ["-W", "ignore", "-m", "benchmarks.peers.rsl", "--task", run.own_task, "--seed", str(run.seed)]
+        return [str(environment.python()), *words]
+
+    def decided_by(self, task: str) -> Mapping[str, Any]:
+        return environment.pins("rsl-rl-lib", "torch", "jax", "mujoco")
+
+
+class Brax(Entrant):
+    """PPO of brax on MJX, with brax's own task of that name."""
+
+    name = "brax"
+    what = "brax: its PPO on MJX, on brax's own task, sizes of the paper's Table 1 (2,048 environments, 10 steps)"
+    tasks: ClassVar[dict[str, str]] = {
+        "inverteddoublependulum": "inverted_double_pendulum",
+        "invertedpendulum": "inverted_pendulum",
+    }
+
+    def command(self, run: Run) -> list[str]:
+        task = self.tasks.get(run.task, run.task)
+        words = ["-W", "ignore", "-m", "benchmarks.peers.brax_ppo", "--task", task, "--seed", str(run.seed)]
+        return [sys.executable, *words]
+
+    def decided_by(self, task: str) -> Mapping[str, Any]:
+        return environment.pins("brax", "jax", "mujoco-mjx")
+
+
+OTHERS: dict[str, Entrant] = {
+    each.name: each for each in (StableBaselines("sb3"), StableBaselines("sbx"), Reference(), RslRl(), Brax())
+}
 """The entrants that are not of this project, by name."""
 
 

@@ -31,7 +31,9 @@ def test_every_task_is_gymnasiums_and_ours() -> None:
 
 @pytest.mark.parametrize("name", ["sb4", "defaultt", "missing.yaml"])
 def test_an_unknown_entrant_is_one_sentence(name: str) -> None:
-    with pytest.raises(SettingsError, match=f"'{name}' is not a known entrant; .*sb3, sbx, reference, or a .yaml file"):
+    with pytest.raises(
+        SettingsError, match=f"'{name}' is not a known entrant; .*sb3, sbx, reference, rsl_rl, brax, or a .yaml file"
+    ):
         entrant(name)
 
 
@@ -40,7 +42,7 @@ def test_an_unknown_task_is_one_sentence() -> None:
         known_task("hoper")
 
 
-@pytest.mark.parametrize("name", ["sb3", "sbx"])
+@pytest.mark.parametrize("name", ["sb3", "sbx", "rsl_rl"])
 def test_a_peer_that_is_not_installed_is_one_sentence(
     name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
