@@ -1,6 +1,7 @@
 """The cost of the kernel parts: the time of an update relative to PPO's, for every representation and the critic.
 
     python -m benchmarks.update --task hopper --task humanoid --rounds 5
+    python -m benchmarks.update --default
 
 Updates of 20,480 random transitions of the task's sizes, 4 epochs of 32 minibatches, on all cores. The cases
 alternate, so that other load affects all of them alike; a ratio is the median over the rounds of the time relative to
@@ -24,11 +25,13 @@ import numpy as np
 
 from benchmarks.machine import describe, machine
 from common.config.settings import RunSettings
+from common.config.sources import from_values
 from common.learners import LEARNERS
 from common.maths.networks import make_networks
 from common.maths.rkhs.make import make_representation
 from common.maths.state import Batch, initial_state
 from common.maths.update import make_update
+from common.numerical_environment import factorise_on_one_thread
 from common.precision import chosen_precision
 from common.runtime import enable_compilation_cache
 from common.tasks import TASKS
@@ -50,6 +53,24 @@ class Case:
     precision: str = "float32"
     products: str | None = None
     """JAX's precision of float32 products, for those that name none; None: the device's default, on GPUs TF32."""
+    of_default: str = ""
+    """A learner: the settings are then those of the default preset for it, sizes included."""
+
+    def settings(self, task: str, sizes: Mapping[str, Any]) -> RunSettings:
+        """The settings of its run. `sizes`: settings of the run's size; those of `algorithm` as a map."""
+        if self.of_default:
+            return from_values({"task": task, "learner": self.of_default, "actors": 1})
+        return RunSettings.model_validate(
+            {
+                "task": task,
+                "learner": "reskpn" if self.rkhs else "ppo",
+                "actors": 1,
+                "rkhs": self.rkhs or {},
+                "critic": self.critic,
+                **sizes,
+                "algorithm": {**sizes.get("algorithm", {}), "precision": self.precision},
+            }
+        )
 
 
 def _case(representation: str, samples: int | str, capacity: int, **more: Any) -> Case:
@@ -79,6 +100,13 @@ CASES = (
     *(Case(f"critic {name}", None, {"representation": name}) for name in ("rff", "nystrom", "linear")),
 )
 
+DEFAULT_CASES = (
+    Case("ppo", None, of_default="ppo"),
+    Case("dpo", None, of_default="dpo"),
+    Case("default", None, of_default="reskpn"),
+)
+"""The default preset beside the learners without kernel parts, all at its sizes."""
+
 WHOLE_EXACT = _case("exact", "batch", 20480)
 
 
@@ -86,19 +114,8 @@ class Subject:
     """A compiled case and its state."""
 
     def __init__(self, case: Case, task: str, sizes: Mapping[str, Any] | None = None) -> None:
-        """`sizes`: settings of the run's size, those of `algorithm` as a map; default: the paper's."""
-        given = dict(sizes or {})
-        settings = RunSettings.model_validate(
-            {
-                "task": task,
-                "learner": "reskpn" if case.rkhs else "ppo",
-                "actors": 1,
-                "rkhs": case.rkhs or {},
-                "critic": case.critic,
-                **given,
-                "algorithm": {**given.get("algorithm", {}), "precision": case.precision},
-            }
-        )
+        """`sizes`: as in `Case.settings`."""
+        settings = case.settings(task, sizes or {})
         shape, learner = TASKS[task], LEARNERS[settings.learner]
         networks, parameters = make_networks(
             shape.observation_size,
@@ -203,11 +220,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--whole-exact", action="store_true", help="also exact with the whole batch as centres: minutes"
     )
+    parser.add_argument(
+        "--default",
+        action="store_true",
+        help="the default preset beside PPO and DPO at its sizes, in place of all these",
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object in place of the tables")
     given = parser.parse_args(arguments)
+    factorise_on_one_thread()
     enable_compilation_cache()
     found = machine()
-    cases = [*CASES, *([WHOLE_EXACT] if given.whole_exact else [])]
+    cases = [*DEFAULT_CASES] if given.default else [*CASES, *([WHOLE_EXACT] if given.whole_exact else [])]
     if given.only:
         cases = [cases[0], *(case for case in cases[1:] if any(part in case.name for part in given.only))]
     tables = {task: measure(task, cases, given.rounds) for task in given.task or ("hopper", "humanoid")}
@@ -216,7 +239,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     print(*describe(found), PAPER, sep="\n")
     for task, rows in tables.items():
-        print(f"\n{task}: update of {RunSettings().batch_size:,} transitions, {given.rounds} rounds")
+        print(f"\n{task}: update of {cases[0].settings(task, {}).batch_size:,} transitions, {given.rounds} rounds")
         print(f"{'case':34} {'seconds':>8} {'by ppo':>7} {'range':>13} {'cpu s':>7} {'by ppo':>7}")
         for row in rows:
             spread = f"{row['ratio_low']:.2f}-{row['ratio_high']:.2f}"

@@ -13,6 +13,7 @@ import numpy as np
 
 from common.config.settings import RunSettings
 from common.maths.policy import Policy
+from common.numerical_environment import factorise_on_one_thread
 from common.physics import engines
 from common.runtime import enable_compilation_cache
 from common.wire.rollout import Rollout
@@ -94,9 +95,10 @@ class InProcess:
 
 
 def prepare() -> None:
-    """Configure JAX as in an actor; call this before any computation.
+    """Configure JAX as in a learner and an actor; call this before any computation.
 
     A learner alone would leave asynchronous dispatch on; its update is as fast without, and gives the same bits.
     """
+    factorise_on_one_thread()
     enable_compilation_cache()
     engines.require_synchronous_dispatch()

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
 
-from common.numerical_environment import adopt, decides_bits, numerical_environment
+from common.numerical_environment import (
+    THREAD_VARIABLES,
+    adopt,
+    decides_bits,
+    factorise_on_one_thread,
+    numerical_environment,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -23,6 +31,7 @@ def test_what_belongs_to_it() -> None:
     given = {
         "NPROC": "2",
         "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "2",
         "XLA_FLAGS": "--xla_cpu_enable_fast_math=true",
         "JAX_ENABLE_X64": "1",
         "JAX_COMPILATION_CACHE_DIR": "/tmp/x",
@@ -34,6 +43,7 @@ def test_what_belongs_to_it() -> None:
         "JAX_ENABLE_X64": "1",
         "NPROC": "2",
         "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "2",
         "XLA_FLAGS": "--xla_cpu_enable_fast_math=true",
     }
     assert not decides_bits("cpu")
@@ -61,7 +71,7 @@ def test_flags_of_a_log_are_not_taken_over(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_cores_are_as_many_as_in_the_run(cores: set[int]) -> None:
     """Where there are more; fewer cannot be helped."""
-    for name in ("NPROC", "OMP_NUM_THREADS"):
+    for name in THREAD_VARIABLES:
         os.environ.pop(name, None)
     assert adopt({}, str(len(cores) + 1)) == []
     assert adopt({}, "not recorded") == []
@@ -69,3 +79,38 @@ def test_cores_are_as_many_as_in_the_run(cores: set[int]) -> None:
         pytest.skip("there is one core")
     assert adopt({}, "1") == [f"1 of {len(cores)} cores are used, as in the run: the bits depend on it"]
     assert os.sched_getaffinity(0) == {min(cores)}
+
+
+def test_factorisations_have_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Unless the user has said how many; either is recorded."""
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    factorise_on_one_thread()
+    assert numerical_environment()["OPENBLAS_NUM_THREADS"] == "1"
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    factorise_on_one_thread()
+    assert numerical_environment()["OPENBLAS_NUM_THREADS"] == "2"
+
+
+FACTORISE = """
+import os
+from common.numerical_environment import adopt, factorise_on_one_thread
+import jax, jax.numpy as jnp, scipy.linalg
+factorise_on_one_thread()
+adopt({"OPENBLAS_NUM_THREADS": os.environ["WANTED"]}, "")
+rows = jnp.sin(jnp.arange(300 * 64, dtype=jnp.float32)).reshape(300, 64)
+print(jax.jit(jnp.linalg.eigh)(rows.T @ rows)[1].tobytes().hex())
+"""
+
+
+def test_a_change_is_in_time(cores: set[int]) -> None:
+    """The run's threads hold although OpenBLAS is loaded before they are adopted, and they decide the bits."""
+    found = {}
+    for wanted, given in (("1", "2"), ("2", "1"), ("1", "1")):
+        environment = os.environ | {"WANTED": wanted, "OPENBLAS_NUM_THREADS": given}
+        process = subprocess.run(
+            [sys.executable, "-c", FACTORISE], env=environment, capture_output=True, text=True, check=True
+        )
+        found[wanted, given] = process.stdout
+    assert found["1", "2"] == found["1", "1"]
+    if len(cores) > 1:
+        assert found["2", "1"] != found["1", "1"]
