@@ -18,6 +18,9 @@ from common.tasks import task_fault
 
 SCALES = ("smoke", "laptop", "full")
 
+Base = Literal["paper", "default"]
+"""The preset below all other settings; of `default`, what holds for the arm's learner."""
+
 Values = dict[str, Any]
 """Settings by dotted name, `algorithm.gamma: 0.99`."""
 
@@ -33,6 +36,7 @@ class Arm(Section):
     """One side of a comparison.
 
     Attributes:
+        base: None for that of the experiment.
         learner: None for that of the experiment's settings, or of the chosen arm.
         settings: over those of the experiment.
         best_of: take learner and settings from the results of another experiment.
@@ -40,6 +44,7 @@ class Arm(Section):
             that experiment's first arm (the paper's sigma*, section 4.3).
     """
 
+    base: Base | None = None
     learner: str | None = None
     label: str = ""
     settings: Values = Field(default_factory=dict)
@@ -84,7 +89,7 @@ class Experiment(Section):
     name: str
     paper: str = ""
     title: str
-    base: Literal["paper"] = "paper"
+    base: Base = "paper"
     tasks: tuple[str, ...] = Field(min_length=1)
     arms: dict[str, Arm]
     settings: Values = Field(default_factory=dict)

@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from common.config.settings import RunSettings
-from common.config.sources import load
+from common.config.sources import from_values, load
 from common.errors import SettingsError
 from common.suggestions import unknown_name
-from reskpn.study.experiments import Arm, BestOf, Experiment, Scale, ScaleOverride, Values, load_scale
+from reskpn.study.experiments import Arm, Base, BestOf, Experiment, Scale, ScaleOverride, Values, load_scale
 from reskpn.study.results import Result, identity
 from reskpn.study.scoring import area_of
 from reskpn.study.store import Store
@@ -134,7 +134,8 @@ def _settings(
 ) -> RunSettings:
     """The settings of one run: preset, experiment, arm and scale, each over the one before."""
     steps = override.steps or scale.steps_of.get(task, scale.steps)
-    tree = _preset(experiment.base).model_dump()
+    learner = (experiment.settings | values | scale.settings).get("learner")
+    tree = _base(experiment.arms[arm].base or experiment.base, learner).model_dump()
     for given in (experiment.settings, values, scale.settings):
         for name, value in given.items():
             _set(tree, name, value, f"experiment {experiment.name}, arm {arm}")
@@ -149,8 +150,10 @@ def _settings(
 
 
 @functools.cache
-def _preset(name: str) -> RunSettings:
-    return load(config=name, environment={})
+def _base(name: Base, learner: str | None) -> RunSettings:
+    if name == "paper":
+        return load(config=name, environment={})
+    return from_values({} if learner is None else {"learner": learner})
 
 
 def _set(tree: dict[str, Any], name: str, value: Any, where: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from common.config.presets import default_settings
 from reskpn.study.experiments import Experiment
 from reskpn.study.planning import plan
 from reskpn.study.store import Store
@@ -43,3 +44,30 @@ def test_results_decide_settings(catalogue: dict[str, Experiment], store: Store)
     assert planned.undecided == {}
     assert (by_arm["tuned"].learner, by_arm["tuned"].algorithm.learning_rate) == ("dpo", 1e-3)
     assert (by_arm["star"].learner, by_arm["star"].rkhs.bandwidth) == ("origin-kernel", 4.0)
+
+
+def test_an_arm_may_stand_on_the_default_preset(catalogue: dict[str, Experiment], store: Store) -> None:
+    """Its own learner has all of it, another one the sizes; beside them an arm without has Table 1."""
+    experiment = Experiment.model_validate(
+        {
+            "name": "both",
+            "title": "both",
+            "tasks": ["hopper"],
+            "arms": {
+                "ours": {"base": "default"},
+                "sizes": {"base": "default", "learner": "dpo"},
+                "paper": {"learner": "dpo"},
+                "wider": {"base": "default", "settings": {"rkhs.bandwidth": 5.0}},
+            },
+            "drawing": {"kind": "scores"},
+        }
+    )
+    trials = plan(experiment, "laptop", catalogue | {"both": experiment}, store).trials
+    by_arm = {trial.arm: trial.settings for trial in trials}
+    default = default_settings()
+    assert by_arm["ours"].rkhs.representation == default.rkhs.representation != "exact"
+    assert by_arm["ours"].critic == by_arm["wider"].critic == default.critic
+    assert by_arm["wider"].rkhs == default.rkhs.model_copy(update={"bandwidth": 5.0, "variance_every": 2})
+    assert (by_arm["sizes"].learner, by_arm["sizes"].num_envs) == ("dpo", default.num_envs)
+    assert by_arm["sizes"].critic.representation == "none"
+    assert (by_arm["paper"].num_envs, by_arm["paper"].num_steps) == (2048, 10)
