@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from common.errors import SettingsError
@@ -88,3 +90,12 @@ def test_an_experiment_that_does_not_exist(catalogue: dict[str, Experiment]) -> 
 def test_what_an_experiment_needs_comes_first(catalogue: dict[str, Experiment]) -> None:
     """Each once, whatever the order of the names."""
     assert [each.name for each in with_needs(["choice", "rates"], catalogue)] == ["rates", "widths", "choice"]
+
+
+def test_the_experiment_of_the_page_is_possible(store: Store) -> None:
+    """docs/compare.md shows one; its runs are planned as the page says."""
+    page = (Path(__file__).parents[3] / "docs" / "compare.md").read_text(encoding="utf-8")
+    shown = parse_experiment("shown", page.partition("```yaml\n")[2].partition("```")[0])
+    trials = plan(shown, "laptop", {"shown": shown}, store).trials
+    assert len(trials) == 2 * 3 * 5
+    assert {(t.settings.learner, t.settings.total_steps) for t in trials} == {("reskpn", 10**6), ("dpo", 10**6)}
