@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from common.errors import SettingsError
+from reskpn.study.drawing.document import MARK
 from reskpn.study.experiments import SCALES, Experiment, load_catalogue, load_scale, parse_experiment
 from reskpn.study.planning import plan, with_needs
 from reskpn.study.store import Store
@@ -99,3 +100,9 @@ def test_the_experiment_of_the_page_is_possible(store: Store) -> None:
     trials = plan(shown, "laptop", {"shown": shown}, store).trials
     assert len(trials) == 2 * 3 * 5
     assert {(t.settings.learner, t.settings.total_steps) for t in trials} == {("reskpn", 10**6), ("dpo", 10**6)}
+
+
+def test_every_experiment_has_its_place_in_the_study() -> None:
+    """A drawing without marks in docs/study.md would be left out without a word."""
+    page = (Path(__file__).parents[3] / "docs" / "study.md").read_text(encoding="utf-8")
+    assert [name for name in load_catalogue() if MARK.format(name) not in page] == []
