@@ -23,9 +23,9 @@ from reskpn.study.statistics import (
 
 
 def draw_summary(groups: Sequence[Group], reference: Group) -> Figure | None:
-    """Three panels over the tasks that all groups have runs of; None where there are none."""
+    """Three panels over the tasks that all groups have runs of; None where there are none, or nothing to compare."""
     strata = aggregates(groups, reference)
-    if strata is None:
+    if strata is None or len(groups) < 2:
         return None
     height = 0.32 * len(groups) + 1.6
     figure = Figure(figsize=(10.5, max(height, 3.0)), layout="constrained")

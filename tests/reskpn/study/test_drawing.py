@@ -14,7 +14,7 @@ from reskpn.study.drawing.document import draw_all, insert
 from reskpn.study.drawing.draw import Drawn, draw_experiment
 from reskpn.study.drawing.side_by_side import draw_side_by_side
 from reskpn.study.drawing.tables import Table, aggregate_table, score_table
-from reskpn.study.experiments import Experiment, load_catalogue
+from reskpn.study.experiments import Drawing, Experiment, load_catalogue
 from reskpn.study.groups import group, series
 from reskpn.study.planning import plan
 from reskpn.study.store import Store
@@ -144,3 +144,12 @@ def test_a_mark_without_an_end(tmp_path: Path) -> None:
     """Is refused before anything of the document is lost."""
     with pytest.raises(SettingsError, match="without <!-- end -->"):
         insert("<!-- drawn: rates -->\n", {"rates": Drawn("rates", "Caption.", [], [])}, tmp_path)
+
+
+def test_one_arm_is_compared_with_nobody(catalogue: dict[str, Experiment], store: Store, tmp_path: Path) -> None:
+    """As long as there are runs of one arm alone there are tables, and no panel of comparisons without a row."""
+    experiment = catalogue["rates"].model_copy(update={"drawing": Drawing(kind="scores")})
+    fill(store, [t for t in plan(experiment, "smoke", catalogue, store).trials if t.arm == "slow"])
+    drawn = draw_experiment(experiment, "smoke", catalogue, store, tmp_path)
+    assert drawn is not None
+    assert (drawn.pictures, len(drawn.tables) > 0) == ([], True)
