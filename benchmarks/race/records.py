@@ -14,7 +14,7 @@ from common.errors import LogReadError
 
 FORMAT = 1
 
-RESULTS = Path("study/results/race")
+RESULTS = Path("study/race")
 
 
 class RaceResult(Section):
