@@ -1,4 +1,4 @@
-"""What to do about a file that cannot be written, by the cause that the operating system names."""
+"""Remedies for files that cannot be written, by the cause that the operating system names."""
 
 from __future__ import annotations
 
@@ -25,5 +25,5 @@ _REMEDIES = {
 
 
 def remedy(error: OSError) -> str:
-    """What the user can do about a write that failed with `error`: part of a sentence, without a full stop."""
+    """The remedy for a write that failed with `error`, as part of a sentence, without a full stop."""
     return _REMEDIES.get(error.errno or 0, "remove the cause or choose another directory")

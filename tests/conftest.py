@@ -4,6 +4,10 @@ JAX itself is imported only for tests that may use it: those of log and wire do 
 """
 
 import os
+
+# As `factorise_on_one_thread` sets it in a run, before anything loads OpenBLAS: tests compute a run's states again.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -17,7 +17,6 @@ from common.errors import INTERRUPTED, ReskpnError
 from common.log.lock import LogLock
 from common.log.segments import LOG_DIRECTORY
 from common.memory import keep_large_blocks
-from common.numerical_environment import factorise_on_one_thread
 from common.physics.mjx_differences import differences_of
 from common.runs.directory import SUMMARY, claim_run_dir, write_settings
 from common.runtime import enable_compilation_cache
@@ -75,11 +74,7 @@ def run_learner(
     with ExitStack() as stack:
         listener = stack.enter_context(make_listener_monitor(settings.transport))
         session = stack.enter_context(open_listener(settings.transport))
-        notes = []
-        if resume and settings.run_dir:
-            notes = adopt_numerical_origin(settings.run_dir)
-        else:
-            factorise_on_one_thread()
+        notes = adopt_numerical_origin(settings.run_dir if resume else None)
         enable_compilation_cache()
         readiness = stack.enter_context(health_port(settings.transport.health_port))
         resuming = _begin_to_resume(settings, session, readiness) if resume else None

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 from common.numerical_environment import (
     THREAD_VARIABLES,
@@ -20,10 +21,11 @@ from common.numerical_environment import (
 
 @pytest.fixture(autouse=True)
 def cores() -> Iterator[set[int]]:
-    """Of this process; restored afterwards."""
+    """Of this process; restored afterwards, with the threads of OpenBLAS."""
     before = os.sched_getaffinity(0)
     yield before
     os.sched_setaffinity(0, before)
+    threadpool_limits(1, user_api="blas")  # as tests/conftest.py has it
 
 
 def test_what_belongs_to_it() -> None:
@@ -52,7 +54,8 @@ def test_what_belongs_to_it() -> None:
 def test_threads_are_those_of_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """One variable is set, one is changed and one that the run did not have is left out; each is said."""
     monkeypatch.setenv("NPROC", "1")
-    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
     assert adopt({"OMP_NUM_THREADS": "2"}, "") == [
         "NPROC=1 is left out: the run was made without it, and the bits depend on it",
         "OMP_NUM_THREADS is 2, as in the run, in place of none: the bits depend on it",

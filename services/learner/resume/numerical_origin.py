@@ -1,4 +1,4 @@
-"""The numerical environment of a resumed run: taken over where that is possible, and compared where it is not."""
+"""The numerical environment of a run: chosen for a new one, taken over and compared for one that is resumed."""
 
 from __future__ import annotations
 
@@ -6,16 +6,22 @@ from pathlib import Path
 
 from common.log.reader import LogReader
 from common.log.segments import LOG_DIRECTORY, list_segments
-from common.numerical_environment import adopt, numerical_environment
+from common.numerical_environment import adopt, factorise_on_one_thread, numerical_environment
 from common.runs.origins import differences, origin
 from common.runtime import hardware, software_versions, source_commit
 
 
-def adopt_numerical_origin(run_dir: Path) -> list[str]:
+def adopt_numerical_origin(run_dir: Path | None) -> list[str]:
     """Compute with the threads and cores that the run had; returns a sentence for each change and each difference.
 
     To be called before JAX computes anything.
+
+    Args:
+        run_dir: of a run that is resumed; None for a new run.
     """
+    if run_dir is None:
+        factorise_on_one_thread()
+        return []
     if not list_segments(run_dir / LOG_DIRECTORY):
         return []
     metadata = LogReader(run_dir).metadata()
