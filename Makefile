@@ -52,7 +52,7 @@ test-install: setup  ## the wheel in an empty environment: train, export and pla
 	@$(BIN)/python -m pytest tests/install -p no:randomly --tb=short --timeout 900
 
 test-chaos: setup  ## kill -9 at random and at the worst moments, hostile messages, slow and full disks; CHAOS_POINTS=20, CHAOS_SEED=n to repeat
-	@CHAOS_POINTS=$(CHAOS_POINTS) $(if $(CHAOS_SEED),CHAOS_SEED=$(CHAOS_SEED)) \
+	@CHAOS_POINTS=$(CHAOS_POINTS) CHAOS_SEED=$(or $(CHAOS_SEED),$$(date +%s)) \
 		$(BIN)/python -m pytest tests/chaos -n 2 --dist worksteal -p no:randomly -rfE --tb=short
 
 test-pages: setup  ## the live page in headless Chromium, light and dark, wide and narrow; says so where there is none
