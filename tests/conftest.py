@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
+from threadpoolctl import threadpool_limits
 
 WITHOUT_JAX = ("log", "wire", "viewing", "dashboard", "pages")
 
@@ -23,6 +24,16 @@ settings.load_profile("untimed")
 
 # In place before they are imported for the first time, by whichever test does so.
 install_import_hook(["common.kernels", "common.maths"], "shape_checks.check")
+
+
+CORES = os.sched_getaffinity(0)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """Cores and threads of factorisations as at the start: a test, or what it shares, may have adopted a run's."""
+    os.sched_setaffinity(0, CORES)
+    threadpool_limits(1, user_api="blas")
 
 
 def pytest_pycollect_makemodule(module_path: Path) -> None:
