@@ -3,8 +3,8 @@
 XLA splits its work over a pool of threads, and sums depend on how they are split. Measured with jaxlib 0.10 on two
 cores: NPROC=1 or OMP_NUM_THREADS=1 gives other bits than two threads, NPROC=4 on two cores the same ones, and one
 core gives other bits whatever NPROC says. XLA_FLAGS and JAX_... choose how programs are compiled. Factorisations
-(kernel critic, nystrom, kmp) are those of SciPy's OpenBLAS, which has threads of its own: eigh differs between one and
-two of them at any size, Cholesky from 256 rows on.
+(kernel critic, nystrom, kmp, basis) are those of SciPy's OpenBLAS, which has threads of its own: eigh differs between
+one and two of them at any size, Cholesky from 256 rows on.
 """
 
 from __future__ import annotations
