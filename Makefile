@@ -18,7 +18,7 @@ INVERTED_PENDULUM := --total-steps 6e5
 CHAOS_POINTS ?= 20
 CHAOS_SEED ?=
 
-.PHONY: bench-compare bench-peers help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench bench-gpu paper-smoke peers race-smoke check-statistics lock lock-peers clean
+.PHONY: help setup train test test-runs test-docs test-install test-chaos test-docker test-hosts test-pages lint bench bench-compare bench-gpu bench-peers paper-smoke peers race-smoke check-statistics lock lock-peers clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16

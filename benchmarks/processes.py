@@ -21,18 +21,31 @@ def bare_environment() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if not name.startswith(PREFIX) or name in OTHER_VARIABLES}
 
 
+def run_to_end(
+    module: str, arguments: Sequence[str], python: str | Path = sys.executable
+) -> subprocess.CompletedProcess[str]:
+    """`python -m module arguments...`, run in the source tree without settings from the environment."""
+    command = [str(python), "-m", module, *arguments]
+    return subprocess.run(command, cwd=ROOT, env=bare_environment(), capture_output=True, text=True, check=False)
+
+
+def last_json(output: str) -> dict[str, Any]:
+    """The JSON object on the last line of an output."""
+    result: dict[str, Any] = json.loads(output.splitlines()[-1])
+    return result
+
+
 def run_module(module: str, arguments: Sequence[str]) -> str:
     """The output of `python -m module arguments...`, run without settings from the environment.
 
     Raises:
         ProcessError: it fails; its last words are in the message.
     """
-    command = [sys.executable, "-m", module, *arguments]
-    done = subprocess.run(command, cwd=ROOT, env=bare_environment(), capture_output=True, text=True, check=False)
+    done = run_to_end(module, arguments)
     if done.returncode != 0:
         last = (done.stdout + done.stderr).strip().splitlines()[-8:]
         raise ProcessError(
-            f"{' '.join(command[1:])} ended with exit code {done.returncode}; its last words:\n"
+            f"{' '.join(done.args[1:])} ended with exit code {done.returncode}; its last words:\n"
             + "\n".join(f"  {line}" for line in last)
         )
     return done.stdout
@@ -40,5 +53,4 @@ def run_module(module: str, arguments: Sequence[str]) -> str:
 
 def run_json(module: str, arguments: Sequence[str]) -> dict[str, Any]:
     """The JSON object on the last line that `python -m module arguments...` prints; ProcessError as above."""
-    result: dict[str, Any] = json.loads(run_module(module, arguments).splitlines()[-1])
-    return result
+    return last_json(run_module(module, arguments))

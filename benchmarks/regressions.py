@@ -22,7 +22,6 @@ from benchmarks.machine import describe, machine
 from benchmarks.profile import network_flop, product_speed
 from benchmarks.update import CASES, measure
 from common.config.settings import RunSettings
-from common.numerical_environment import factorise_on_one_thread
 from common.runtime import enable_compilation_cache
 
 RESULTS = Path(__file__).parent / "results" / "update.json"
@@ -92,7 +91,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if not given.record and not RESULTS.exists():
         parser.error(f"there are no committed results in {RESULTS}; --record makes them, on a quiet machine")
-    factorise_on_one_thread()
     enable_compilation_cache()
     found = machine()
     print(*describe(found), sep="\n")

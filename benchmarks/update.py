@@ -115,6 +115,7 @@ class Subject:
 
     def __init__(self, case: Case, task: str, sizes: Mapping[str, Any] | None = None) -> None:
         """`sizes`: as in `Case.settings`."""
+        factorise_on_one_thread()
         settings = case.settings(task, sizes or {})
         shape, learner = TASKS[task], LEARNERS[settings.learner]
         networks, parameters = make_networks(
@@ -227,7 +228,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--json", action="store_true", help="one JSON object in place of the tables")
     given = parser.parse_args(arguments)
-    factorise_on_one_thread()
     enable_compilation_cache()
     found = machine()
     cases = [*DEFAULT_CASES] if given.default else [*CASES, *([WHOLE_EXACT] if given.whole_exact else [])]

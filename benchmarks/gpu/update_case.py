@@ -14,7 +14,6 @@ from typing import Any
 from benchmarks.gpu.cases import CENTRES
 from benchmarks.gpu.rows import plan_of, tell
 from benchmarks.update import Case, Subject, in_turns
-from common.numerical_environment import factorise_on_one_thread
 from common.runtime import enable_compilation_cache
 
 PPO = Case("ppo", None)
@@ -79,6 +78,5 @@ def row(plan: Mapping[str, Any], precision: str, found: Mapping[str, Any], compi
 
 
 if __name__ == "__main__":
-    factorise_on_one_thread()
     enable_compilation_cache()
     measure(plan_of())

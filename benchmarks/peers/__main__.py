@@ -9,9 +9,7 @@ Training runs are those of `benchmarks.race`, kept and found again as there.
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -19,7 +17,7 @@ from typing import Any
 
 from benchmarks.machine import describe, machine
 from benchmarks.peers import environment
-from benchmarks.processes import ROOT, bare_environment
+from benchmarks.processes import last_json, run_to_end
 from benchmarks.race import __main__ as race
 from benchmarks.race.entrants import ENVIRONMENTS, known_task
 from benchmarks.race.records import RESULTS, read_all
@@ -39,22 +37,13 @@ Samples = Mapping[str, Sequence[Mapping[str, Any]]]
 
 def measure(engine: str, task: str, sizes: Sequence[str]) -> dict[str, Any]:
     """One engine in a new process. ProcessError where it fails, or its environment is missing."""
-    python = environment.python() if engine == "envpool" else Path(sys.executable)
+    python = environment.python() if engine == "envpool" else sys.executable
     words = [engine, "--task", ENVIRONMENTS[task].lower(), "--environment", ENVIRONMENTS[task], *sizes]
-    command = [str(python), "-W", "ignore", "-m", "benchmarks.peers.engines", *words]
-    done = subprocess.run(
-        command,
-        cwd=ROOT,
-        env=bare_environment() | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_to_end("benchmarks.peers.engines", words, python)
     if done.returncode != 0:
         last = done.stderr.strip().splitlines()[-1:] or ["it said nothing"]
         raise ProcessError(f"{engine} ended with exit code {done.returncode}: {last[0]}")
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found
+    return last_json(done.stdout)
 
 
 def physics_table(samples: Samples) -> Iterator[str]:

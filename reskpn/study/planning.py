@@ -134,11 +134,10 @@ def _settings(
 ) -> RunSettings:
     """The settings of one run: preset, experiment, arm and scale, each over the one before."""
     steps = override.steps or scale.steps_of.get(task, scale.steps)
-    learner = (experiment.settings | values | scale.settings).get("learner")
-    tree = _base(experiment.arms[arm].base or experiment.base, learner).model_dump()
-    for given in (experiment.settings, values, scale.settings):
-        for name, value in given.items():
-            _set(tree, name, value, f"experiment {experiment.name}, arm {arm}")
+    given = experiment.settings | values | scale.settings
+    tree = _base(experiment.arms[arm].base or experiment.base, given.get("learner")).model_dump()
+    for name, value in given.items():
+        _set(tree, name, value, f"experiment {experiment.name}, arm {arm}")
     tree |= {"task": task, "seed": seed, "total_steps": steps, "actors": 1}
     try:
         return RunSettings.model_validate(tree)

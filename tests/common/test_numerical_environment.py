@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import pytest
-from threadpoolctl import threadpool_limits
 
 from common.numerical_environment import (
     THREAD_VARIABLES,
@@ -19,13 +17,10 @@ from common.numerical_environment import (
 )
 
 
-@pytest.fixture(autouse=True)
-def cores() -> Iterator[set[int]]:
-    """Of this process; restored afterwards, with the threads of OpenBLAS."""
-    before = os.sched_getaffinity(0)
-    yield before
-    os.sched_setaffinity(0, before)
-    threadpool_limits(1, user_api="blas")  # as tests/conftest.py has it
+@pytest.fixture
+def cores() -> set[int]:
+    """Of this process; tests/conftest.py puts them back."""
+    return os.sched_getaffinity(0)
 
 
 def test_what_belongs_to_it() -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,7 @@ import pytest
 
 from benchmarks.peers import __main__ as peers
 from benchmarks.peers import environment
-from benchmarks.processes import ROOT, bare_environment
+from benchmarks.processes import run_json
 from common.errors import ProcessError
 from common.runtime import software_versions
 
@@ -34,10 +32,7 @@ def test_ratios_are_taken_round_by_round() -> None:
 
 def test_an_engine_is_timed_in_a_process_of_its_own() -> None:
     """`mujoco.rollout`, small: steps per second, versions and cores, as the last line."""
-    command = [sys.executable, "-m", "benchmarks.peers.engines", "rollout", "--num-envs", "2", "--steps", "3"]
-    environ = bare_environment() | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=ROOT, env=environ, capture_output=True, text=True, check=True)
-    found = json.loads(done.stdout.splitlines()[-1])
+    found = run_json("benchmarks.peers.engines", ["rollout", "--num-envs", "2", "--steps", "3"])
     assert found["steps_per_s"] > 0
     assert found["versions"] == {"mujoco": software_versions()["mujoco"]}
 
