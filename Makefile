@@ -102,7 +102,7 @@ $(RLIABLE)/.ready: benchmarks/statistics/requirements.txt
 
 paper-smoke: setup  ## every experiment of the paper, very small, run and drawn: whether all of it works, in a few minutes
 	@rm -rf build/paper-smoke
-	@JAX_DISABLE_MOST_OPTIMIZATIONS=1 $(BIN)/reskpn paper run --scale smoke --here --results build/paper-smoke/results
+	@JAX_DISABLE_MOST_OPTIMIZATIONS=1 $(BIN)/reskpn paper run --scale smoke --warm --jobs 2 --results build/paper-smoke/results
 	@$(BIN)/reskpn paper draw --scale smoke --results build/paper-smoke/results --out build/paper-smoke/drawn
 
 LOCK_PEERS := --python-version 3.11 --python-platform x86_64-unknown-linux-gnu --generate-hashes --no-emit-index-url --no-header --no-annotate

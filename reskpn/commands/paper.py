@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import closing
 from pathlib import Path
 
 from common.errors import SettingsError
@@ -37,7 +38,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     drawing.add_argument("--into", type=Path, metavar="FILE", help="also put them between the marks of this document")
     where = running.add_mutually_exclusive_group()
     where.add_argument("--service", action="store_true", help="train through learner and actor processes, with logs")
-    where.add_argument("--here", action="store_true", help="train in this process: quicker for many small runs")
+    where.add_argument("--warm", action="store_true", help="many runs in each process: quicker where they are small")
 
 
 def run(given: argparse.Namespace) -> int:
@@ -61,25 +62,26 @@ def _list(given: argparse.Namespace) -> int:
 
 def _run(given: argparse.Namespace) -> int:
     from reskpn.study.experiments import load_catalogue
-    from reskpn.study.running import here, in_process
+    from reskpn.study.run_process import Warm, fresh
     from reskpn.study.session import make_runs
     from reskpn.study.store import Store
     from reskpn.study.through_service import through_service
 
-    if given.jobs < 1 or (given.here and given.jobs > 1):
-        raise SettingsError(f"--jobs is {given.jobs}; allowed: 1 or more, and 1 with --here")
+    if given.jobs < 1:
+        raise SettingsError(f"--jobs is {given.jobs}; allowed: 1 or more")
     catalogue, store = load_catalogue(), Store(given.results)
     only = {"task": given.tasks, "arm": given.arms, "seed": given.seeds}
-    made = make_runs(
-        given.names or list(catalogue),
-        given.scale,
-        catalogue,
-        store,
-        only={name: values for name, values in only.items() if values},
-        jobs=given.jobs,
-        say=lambda text: print(text, flush=True),
-        runner=through_service if given.service else here if given.here else in_process,
-    )
+    with closing(Warm()) as warm:
+        made = make_runs(
+            given.names or list(catalogue),
+            given.scale,
+            catalogue,
+            store,
+            only={name: values for name, values in only.items() if values},
+            jobs=given.jobs,
+            say=lambda text: print(text, flush=True),
+            runner=through_service if given.service else warm if given.warm else fresh,
+        )
     print(f"{made} runs made, {len(store)} results in {given.results}")
     return 0
 

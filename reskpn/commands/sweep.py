@@ -42,7 +42,7 @@ def run(given: argparse.Namespace) -> int:
     from reskpn.study.experiments import read_experiment
     from reskpn.study.groups import group
     from reskpn.study.planning import plan
-    from reskpn.study.running import in_process
+    from reskpn.study.run_process import fresh
     from reskpn.study.session import make_runs
     from reskpn.study.store import Store
     from reskpn.study.through_service import through_service
@@ -59,7 +59,7 @@ def run(given: argparse.Namespace) -> int:
         only={},
         jobs=given.jobs,
         say=lambda text: print(text, flush=True),
-        runner=through_service if given.service else in_process,
+        runner=through_service if given.service else fresh,
     )
     groups = group(experiment, plan(experiment, given.scale, catalogue, store), store)
     files, tables = draw_side_by_side(groups, given.out / experiment.name)

@@ -76,11 +76,12 @@ class Drawing(Section):
 
 
 class ScaleOverride(Section):
-    """The values in which an experiment departs from its scale."""
+    """The values in which an experiment departs from its scale, and the arms that it has there; None for all."""
 
     steps: Count | None = None
     seeds: Count | None = None
     tasks: tuple[str, ...] | None = None
+    arms: tuple[str, ...] | None = None
 
 
 class Experiment(Section):
@@ -116,6 +117,10 @@ class Experiment(Section):
     def _needs_arms(self) -> Self:
         if not self.arms and self.drawing.kind != "settings":
             raise ValueError("needs at least one arm, for example 'dpo: {learner: dpo}'")
+        for override in self.scales.values():
+            for arm in override.arms or ():
+                if arm not in self.arms:
+                    raise ValueError(unknown_name("arm", arm, self.arms))
         return self
 
     @property

@@ -1,9 +1,10 @@
-"""One run of a study as a process: settings on standard input, progress on standard output, the result in a file.
+"""Runs of a study in a process, one after another: what to make on standard input, progress on standard output.
 
-    python -m reskpn.study.one_run FILE < settings.json
+    python -m reskpn.study.one_run
 
-Each line of output is a JSON object: `{"update": 3, "updates": 97, "return": 18.4}`. A process of its own gives the
-memory of a run back, and a run that crashes takes no other with it.
+Each line of input is a JSON object, `{"path": "out.json", "settings": "{...}"}`; the result is written to `path`. Each
+line of output is one, too: `{"update": 3, "updates": 97, "return": 18.4}` on the way, `{"finished": true}` after each
+run. The process ends where the input does, or with the first run that fails.
 """
 
 from __future__ import annotations
@@ -35,9 +36,12 @@ TELL_S = 2.0
 
 
 def main() -> int:
-    """Make the run, and exit with the code of the error's class if it fails."""
+    """Make the runs, and exit with the code of the error's class if one fails."""
     try:
-        write_result(run(parse_json(sys.stdin.read()), _tell), Path(sys.argv[1]))
+        for line in sys.stdin:
+            order = json.loads(line)
+            write_result(run(parse_json(order["settings"]), _tell), Path(order["path"]))
+            print(json.dumps({"finished": True}), flush=True)
     except ReskpnError as error:
         print(error, file=sys.stderr)
         return error.exit_code

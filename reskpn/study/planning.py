@@ -54,7 +54,9 @@ def plan(experiment: Experiment, scale_name: str, catalogue: Mapping[str, Experi
     override = experiment.scales.get(scale_name, ScaleOverride())
     tasks = override.tasks or experiment.tasks[: scale.tasks]
     chosen: dict[str, Values | None] = {
-        name: _chosen(experiment, arm, scale_name, catalogue, store) for name, arm in experiment.arms.items()
+        name: _chosen(experiment, arm, scale_name, catalogue, store)
+        for name, arm in experiment.arms.items()
+        if override.arms is None or name in override.arms
     }
     trials = [
         Trial(experiment.name, name, _settings(experiment, name, values, task, seed, scale, override))

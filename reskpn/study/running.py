@@ -1,11 +1,8 @@
-"""Making the runs that are missing, several at a time, each in a process of its own."""
+"""Making the runs that are missing, several at a time, each in a process."""
 
 from __future__ import annotations
 
-import json
 import subprocess
-import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -13,11 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from common.config.settings import RunSettings
-from common.errors import LogWriteError, ProcessError, ReskpnError
+from common.errors import LogWriteError, ProcessError
 from reskpn.study.planning import Trial
 from reskpn.study.scoring import area_of, final_of
 from reskpn.study.store import Store
-from reskpn.study.writing import write_result
 
 TELL_S = 60.0
 """How often a person is told what is in work."""
@@ -153,48 +149,6 @@ class _Queue:
     @staticmethod
     def _percent(work: Work) -> int:
         return 100 * work.steps // work.trial.settings.total_steps
-
-
-def in_process(settings: RunSettings, path: Path, work: Work) -> None:
-    """Make one run with the lean driver (`reskpn.study.one_run`); the result is written to `path`.
-
-    Raises:
-        LogWriteError: the result could not be written.
-        ProcessError: the run failed.
-    """
-    command = [sys.executable, "-m", "reskpn.study.one_run", str(path)]
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        work.process = process
-        assert process.stdin is not None
-        assert process.stdout is not None
-        errors: list[str] = []
-        reader = threading.Thread(target=errors.extend, args=(process.stderr,))
-        reader.start()
-        process.stdin.write(settings.model_dump_json())
-        process.stdin.close()
-        for line in process.stdout:
-            if line.startswith("{"):
-                work.steps = json.loads(line)["update"] * settings.batch_size
-        reader.join()
-    check_exit(process.returncode, errors)
-
-
-def here(settings: RunSettings, path: Path, work: Work) -> None:
-    """Make one run within this process: for many small ones, whose processes would take longer to start than to work.
-
-    Raises:
-        LogWriteError: the result could not be written.
-        ProcessError: the run failed.
-    """
-    from reskpn.study.one_run import run
-
-    try:
-        result = run(settings)
-    except ReskpnError as error:
-        raise ProcessError(str(error)) from None
-    write_result(result, path)
 
 
 def check_exit(code: int, errors: Sequence[str]) -> None:

@@ -38,6 +38,7 @@ def test_every_experiment_is_possible_at_smoke_scale(name: str, store: Store) ->
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
+        ("seeds: 2}", "arms: [fats]}", "'fats' is not an arm; did you mean 'fast'?"),
         ("reacher]\narms", "reachr]\narms", "'reachr' is not a task; did you mean 'reacher'?"),
         ("learner: dpo", "learner: dqn", "'dqn' is not a learner"),
         ("kind: scores", "kind: pie", "drawing.kind"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from common.config.presets import default_settings
-from reskpn.study.experiments import Experiment
+from reskpn.study.experiments import Experiment, ScaleOverride
 from reskpn.study.planning import plan
 from reskpn.study.store import Store
 from tests.reskpn.study.made_up import fill
@@ -24,6 +24,14 @@ def test_a_scale_decides_the_size_of_runs(catalogue: dict[str, Experiment], stor
     assert steps == {"hopper": 2_000_000, "reacher": 3_000_000}
     assert {t.arm: t.settings.algorithm.learning_rate for t in trials} == {"slow": 1e-4, "fast": 1e-3}
     assert {trial.settings.physics for trial in trials} == {"native"}
+
+
+def test_a_scale_may_leave_arms_out(catalogue: dict[str, Experiment], store: Store) -> None:
+    """At smoke scale, of arms that differ in one number; at the others all are there."""
+    fewer = {"smoke": ScaleOverride(arms=("fast",))}
+    experiment = catalogue["rates"].model_copy(update={"scales": fewer})
+    assert {trial.arm for trial in plan(experiment, "smoke", catalogue, store).trials} == {"fast"}
+    assert {trial.arm for trial in plan(experiment, "laptop", catalogue, store).trials} == {"slow", "fast"}
 
 
 def test_arms_wait_for_the_results_that_decide_them(catalogue: dict[str, Experiment], store: Store) -> None:
