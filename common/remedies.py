@@ -17,6 +17,8 @@ _REMEDIES = {
     errno.EACCES: _PERMISSION,
     errno.EPERM: _PERMISSION,
     errno.EROFS: "the file system is read-only: choose another directory",
+    errno.ENOENT: "its directory does not exist: make it or choose another directory",
+    errno.ENAMETOOLONG: "choose a shorter name",
     errno.ENOTDIR: "part of the path is a file: choose another directory",
     errno.ESTALE: "leave the files of a run that goes on alone: what was in it is lost, restore it from a copy",
     errno.EEXIST: _IN_THE_WAY,

@@ -14,6 +14,7 @@ from common.errors import SettingsError
 from common.files import create, is_plain_directory
 from common.log.lock import LOCK
 from common.log.segments import LOG_DIRECTORY
+from common.remedies import remedy
 from common.tasks import slug
 
 SUMMARY = "summary.json"
@@ -82,10 +83,7 @@ def _has_log(directory: Path) -> bool:
 
 
 def _cannot_write(run_dir: Path, error: OSError) -> SettingsError:
-    return SettingsError(
-        f"run_dir {run_dir} cannot be written ({error.strerror}); choose a directory that this user may write, "
-        "with --run-dir"
-    )
+    return SettingsError(f"run_dir {run_dir} cannot be written ({error.strerror}); {remedy(error)}, with --run-dir")
 
 
 def default_run_dir(settings: RunSettings) -> Path:

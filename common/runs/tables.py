@@ -16,6 +16,7 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from common.errors import SettingsError
+from common.remedies import remedy
 from common.runs.recorded_run import RecordedRun
 from common.runs.recorded_updates import RecordedUpdate
 from common.wire.rollout import Rollout
@@ -59,10 +60,7 @@ def extract(run: RecordedRun, folder: Path, on_update: Callable[[RecordedUpdate]
         folder.mkdir(parents=True, exist_ok=True)
         return _extract(run, folder, on_update)
     except OSError as error:
-        raise SettingsError(
-            f"{folder} cannot be written ({error.strerror or error}); choose a directory that this user may write, on "
-            "a disk with room"
-        ) from None
+        raise SettingsError(f"{folder} cannot be written ({error.strerror or error}); {remedy(error)}") from None
 
 
 def _extract(run: RecordedRun, folder: Path, on_update: Callable[[RecordedUpdate], None]) -> dict[str, int]:

@@ -47,7 +47,7 @@ def run(given: argparse.Namespace) -> int:
     from common.physics.engines import require_synchronous_dispatch
     from common.runs.recorded_run import open_run
     from common.runtime import enable_compilation_cache
-    from reskpn.commands.replay import recomputing
+    from reskpn.commands.progress import recomputing
     from services.learner.training.trainer import Trainer
     from services.replay.policies import recorded_policy
     from services.worker.deterministic import DeterministicEpisodes

@@ -48,7 +48,7 @@ def run(given: argparse.Namespace) -> int:
     _check(given)
     from common.runs.recorded_run import open_run
     from common.runtime import enable_compilation_cache
-    from reskpn.commands.replay import recomputing
+    from reskpn.commands.progress import recomputing
     from reskpn.export.policy import trained_policy
     from reskpn.export.verify import logged_observations
     from reskpn.export.write import write_policy

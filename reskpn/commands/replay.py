@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from common.config.settings import RunSettings, TransportSettings
 from common.errors import INTERRUPTED, SettingsError
 from common.log.chain import ChainCheck
 from common.log.signatures import Verifier
-from common.numerical_environment import adopt, numerical_environment
+from common.numerical_environment import adopt, factorise_on_one_thread, numerical_environment
 from common.runs.directory import SUMMARY, claim_run_dir
 from common.runs.origins import bits_can_differ, differences, origin
 from common.runs.read_ahead import read_ahead
@@ -22,6 +18,7 @@ from common.runs.recorded_run import RecordedRun, open_run
 from common.runs.recorded_updates import RecordedUpdate
 from reskpn.commands.command import EXIT_CODES, Command
 from reskpn.commands.connection import add_connection, over
+from reskpn.commands.progress import progress_bar
 from reskpn.commands.settings_options import add_settings, settings_given_over
 
 LINES = 10
@@ -117,6 +114,7 @@ def train_into(path: Path, choose: Callable[[RunSettings], RunSettings]) -> int:
     settings = choose(run.settings)
     require_same_rollouts(run.settings, settings)
     settings = settings.model_copy(update={"run_dir": claim_run_dir(settings)})
+    factorise_on_one_thread()
     enable_compilation_cache()
     trainer = Trainer(settings)
     print(f"{run.run}: training {settings.learner} on its {total} updates of experience", flush=True)
@@ -201,34 +199,6 @@ def describe_torn(run: RecordedRun) -> list[str]:
         "were left out"
         for torn in run.torn
     ]
-
-
-def progress_bar() -> Progress:
-    """A bar on the screen, beside what is printed; nothing of it where there is no screen."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True, highlight=False),
-        transient=True,
-    )
-
-
-@contextmanager
-def recomputing(total: int | None) -> Iterator[Callable[[int], None]]:
-    """A function to call with each version that was recomputed; a bar is on the screen from the first one on."""
-    with ExitStack() as stack:
-        bar = progress_bar()
-        task = bar.add_task("recomputing", total=total)
-
-        def on_update(version: int) -> None:
-            if not bar.live.is_started:
-                stack.enter_context(bar)
-            bar.update(task, completed=version)
-
-        yield on_update
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from common.errors import SettingsError
+from common.remedies import remedy
 
 OLD_S = 15.0
 """Age in seconds from which a state counts as stale.
@@ -45,10 +46,7 @@ def state_writer(path: Path | None) -> WriteState:
     try:
         path.touch()
     except OSError as error:
-        raise SettingsError(
-            f"--state-file {path} cannot be written ({error.strerror}); choose a file in a directory that this user "
-            "may write"
-        ) from None
+        raise SettingsError(f"--state-file {path} cannot be written ({error.strerror}); {remedy(error)}") from None
     return lambda state, version: _write(path, WorkerState(state, version, time.time()))
 
 

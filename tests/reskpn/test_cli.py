@@ -354,8 +354,8 @@ def test_a_run_directory_that_cannot_be(said: Said, tmp_path: Path, endpoint: st
     code, text = said("learner", *words)
     assert code == 2
     assert text == (
-        f"run_dir {tmp_path}/file/run cannot be written (Not a directory); choose a directory that this user may "
-        "write, with --run-dir"
+        f"run_dir {tmp_path}/file/run cannot be written (Not a directory); part of the path is a file: choose another "
+        "directory, with --run-dir"
     )
 
 

@@ -75,10 +75,19 @@ def _score_tables(groups: Sequence[Group], tasks: Sequence[str], reference: Grou
 
 
 def _write_tables(made: Sequence[Table], stem: Path) -> None:
-    for number, table in enumerate(made):
-        name = stem.name if number == 0 else f"{stem.name}-{number + 1}"
-        write_text(stem.with_name(f"{name}.csv"), table.csv())
-        write_text(stem.with_name(f"{name}.md"), table.markdown())
+    """The tables as numbered files; those of earlier drawings that had more tables are removed."""
+    for number, table in enumerate(made, 1):
+        for suffix, text in (("csv", table.csv()), ("md", table.markdown())):
+            write_text(_numbered(stem, number, suffix), text)
+    for suffix in ("csv", "md"):
+        number = len(made) + 1
+        while (old := _numbered(stem, number, suffix)).exists():
+            old.unlink()
+            number += 1
+
+
+def _numbered(stem: Path, number: int, suffix: str) -> Path:
+    return stem.with_name(f"{stem.name}.{suffix}" if number == 1 else f"{stem.name}-{number}.{suffix}")
 
 
 def _reference(experiment: Experiment, groups: Sequence[Group]) -> Group:

@@ -55,12 +55,17 @@ def test_a_directory_that_holds_a_run_is_refused(tmp_path: Path, name: str, clai
 
 
 @pytest.mark.parametrize(
-    ("path", "why"), [("file/run", "Not a directory"), ("file", "File exists"), ("x" * 300, "File name too long")]
+    ("path", "why", "remedy"),
+    [
+        ("file/run", "Not a directory", "part of the path is a file: choose another directory"),
+        ("file", "File exists", "something else is in its place: move that away or choose another directory"),
+        ("x" * 300, "File name too long", "choose a shorter name"),
+    ],
 )
-def test_a_directory_that_cannot_be_made_is_refused(tmp_path: Path, path: str, why: str) -> None:
+def test_a_directory_that_cannot_be_made_is_refused(tmp_path: Path, path: str, why: str, remedy: str) -> None:
     """A sentence with the reason, and what to do."""
     (tmp_path / "file").write_text("")
-    with pytest.raises(SettingsError, match=rf"cannot be written \({why}\); choose a directory .* --run-dir"):
+    with pytest.raises(SettingsError, match=rf"cannot be written \({why}\); {remedy}, with --run-dir"):
         prepare_run_dir(settings(run_dir=tmp_path / path))
 
 

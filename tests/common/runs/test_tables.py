@@ -158,7 +158,7 @@ def test_nothing_is_overwritten(recording: Recording, tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"already holds metrics.parquet; choose another"):
         extract(run, tmp_path, lambda _: None)
     assert [name for name in FILES if (tmp_path / name).exists()] == [METRICS]
-    with pytest.raises(SettingsError, match=r"metrics.parquet/x cannot be written \(Not a directory\)"):
+    with pytest.raises(SettingsError, match=r"/x cannot be written \(Not a directory\); part of the path is a file"):
         extract(run, tmp_path / METRICS / "x", lambda _: None)
-    with pytest.raises(SettingsError, match=r"cannot be written \(File name too long\)"):
+    with pytest.raises(SettingsError, match=r"cannot be written \(File name too long\); choose a shorter name"):
         extract(run, tmp_path / ("x" * 300), lambda _: None)

@@ -58,6 +58,20 @@ def test_missing_runs_are_counted(catalogue: dict[str, Experiment], store: Store
     assert drawn.caption == "Learning rates. 5 of 8 runs at scale smoke (2,048 environment steps)."
 
 
+def test_tables_that_are_no_longer_drawn_go(catalogue: dict[str, Experiment], store: Store, tmp_path: Path) -> None:
+    """Of an earlier drawing with more of them; files of other names stay."""
+    fill(store, plan(catalogue["rates"], "smoke", catalogue, store).trials)
+    for name in ("rates-4.csv", "rates-4.md", "rates-5.csv", "rates-notes.md"):
+        (tmp_path / name).write_text("old")
+    drawn = draw_experiment(catalogue["rates"], "smoke", catalogue, store, tmp_path)
+    assert drawn is not None
+    assert len(drawn.tables) == 3
+    assert sorted(path.name for path in tmp_path.glob("rates-*")) == [
+        *(f"rates-{number}.{suffix}" for number in (2, 3) for suffix in ("csv", "md")),
+        "rates-notes.md",
+    ]
+
+
 def test_nothing_to_draw(catalogue: dict[str, Experiment], store: Store, tmp_path: Path) -> None:
     """One sentence with the command that makes the runs; no empty picture."""
     said: list[str] = []

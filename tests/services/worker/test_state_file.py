@@ -42,7 +42,7 @@ def test_without_a_file_nothing_is_kept(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     """At the start, with a sentence."""
-    with pytest.raises(SettingsError, match=r"--state-file .* cannot be written .* choose a file in a directory"):
+    with pytest.raises(SettingsError, match=r"--state-file .* cannot be written .* does not exist: make it or choose"):
         state_writer(tmp_path / "nowhere" / "actor.json")
 
 
