@@ -100,9 +100,13 @@ $(RLIABLE)/.ready: benchmarks/statistics/requirements.txt
 	@$(RLIABLE)/bin/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r benchmarks/statistics/requirements.txt
 	@touch $@
 
+# Most of its time is XLA's: without optimisation and fusion emitters it is half.
+QUICK_COMPILER := JAX_DISABLE_MOST_OPTIMIZATIONS=1 \
+	XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+
 paper-smoke: setup  ## every experiment of the paper, very small, run and drawn: whether all of it works, in a few minutes
 	@rm -rf build/paper-smoke
-	@JAX_DISABLE_MOST_OPTIMIZATIONS=1 $(BIN)/reskpn paper run --scale smoke --warm --jobs 2 --results build/paper-smoke/results
+	@$(QUICK_COMPILER) $(BIN)/reskpn paper run --scale smoke --warm --jobs 2 --results build/paper-smoke/results
 	@$(BIN)/reskpn paper draw --scale smoke --results build/paper-smoke/results --out build/paper-smoke/drawn
 
 LOCK_PEERS := --python-version 3.11 --python-platform x86_64-unknown-linux-gnu --generate-hashes --no-emit-index-url --no-header --no-annotate
