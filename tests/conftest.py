@@ -44,6 +44,15 @@ def pytest_pycollect_makemodule(module_path: Path) -> None:
         jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
+@pytest.fixture(scope="module")
+def in_a_hurry() -> Iterator[None]:
+    """What a module's tests compile is compiled in a hurry: for those that ask how programs behave, not how fast."""
+    from quick_compiler import quick_compiler
+
+    with quick_compiler():
+        yield
+
+
 @pytest.fixture(autouse=True)
 def _the_environment_stays() -> Iterator[None]:
     """Put back what a command changed in this process's environment: it is the next test's, too."""

@@ -27,9 +27,5 @@ def strict_promotion() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True, scope="module")
-def quick_compile() -> Iterator[None]:
-    """Programs here run a few times on a few numbers: nearly all of their cost would be the compiler's."""
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
+def _everything_in_a_hurry(in_a_hurry: None) -> None:
+    """For all tests of this folder."""
