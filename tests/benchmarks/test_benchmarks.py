@@ -18,6 +18,8 @@ from benchmarks.processes import bare_environment, run_module
 from common.errors import ProcessError, SettingsError
 from common.maths import objectives, returns
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 TINY = ["--task", "inverted_pendulum", "--physics", "native", "--num-envs", "16", "--learner", "dpo"]
 """Updates of 160 steps: 32 minibatches of 5."""
 

@@ -18,6 +18,8 @@ from benchmarks.gpu.rows import MARK, plan_of, row_in
 from benchmarks.gpu.session import LEAST_S, Outcome, environment_of, run_all
 from common.errors import SettingsError
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 MACHINE = dict.fromkeys(("python", "jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "eclipse-zenoh"), "1.2") | {
     "date": "2026-01-02 03:04",
     "cores": "2",

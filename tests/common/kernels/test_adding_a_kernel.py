@@ -20,6 +20,8 @@ from common.maths.rkhs.make import make_representation
 from common.maths.samples import Pairs, Samples
 from common.maths.state import initial_state
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 NAME = "inverse-multiquadric"
 
 

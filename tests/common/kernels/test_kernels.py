@@ -15,6 +15,8 @@ from common.kernels.linear import Linear
 from common.kernels.sigmoid import Sigmoid
 from common.maths.gram import diagonal, gram
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 X, Y = np.array([[3.0, 4.0]]), np.array([[0.0, 0.0], [3.0, 0.0]])
 
 

@@ -11,6 +11,11 @@ from common.physics.environments import BatchedEnvironment, make_environment
 from common.physics.models import load_task
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _everything_in_a_hurry(in_a_hurry: None) -> None:
+    """For all tests of this folder: they share programs, and compare what these compute bit for bit."""
+
+
 @pytest.fixture(scope="session")
 def task_of() -> Any:
     """`task_of(name)`: the brax environment of a task, loaded once."""

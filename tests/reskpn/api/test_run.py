@@ -14,6 +14,8 @@ import reskpn
 from common.errors import SettingsError
 from reskpn.policy_file import load
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 ROOT = Path(__file__).parents[3]
 
 

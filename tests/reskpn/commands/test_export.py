@@ -15,6 +15,8 @@ from reskpn.cli import main
 from reskpn.export.verify import logged_observations
 from reskpn.policy_file import load
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 Output = pytest.CaptureFixture[str]
 
 

@@ -22,6 +22,8 @@ from reskpn.export.policy import clipped
 from reskpn.export.translate import to_onnx
 from services.worker.policy_reader import PolicyReader
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 EXACT = "exact"
 POLICIES = [
     *[(learner, EXACT, "gaussian") for learner in LEARNERS],

@@ -111,6 +111,7 @@ def test_how_a_run_ended_decides_the_error() -> None:
         check_exit(-9, [])
 
 
+@pytest.mark.usefixtures("in_a_hurry")
 def test_a_real_run_leaves_a_result(
     catalogue: dict[str, Experiment], store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -24,6 +24,7 @@ from services.worker.deterministic import DeterministicEpisodes, evaluate
 from services.worker.joining import Assignment
 from services.worker.policy_reader import PolicyReader
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
 ENVS, STEPS, EPISODE = 4, 5, 7
 ROLLOUTS = 8
 SETTINGS = settings(
@@ -33,21 +34,13 @@ HOLDER = SlotGeneration(slot=1, generation=2)
 ASSIGNMENT = Assignment("r", 1, 2, "a", SETTINGS)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def quick_compiler() -> Iterator[None]:
-    """Less work for the compiler, which is what takes the time here."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 @pytest.fixture(scope="module")
-def reader(quick_compiler: None) -> PolicyReader:
+def reader(in_a_hurry: None) -> PolicyReader:
     return PolicyReader(SETTINGS)
 
 
 @pytest.fixture(scope="module")
-def environment(quick_compiler: None) -> BatchedEnvironment:
+def environment(in_a_hurry: None) -> BatchedEnvironment:
     """The environments to step by hand."""
     return make_environment("inverted_pendulum", "native", num_envs=ENVS, episode_length=EPISODE)
 
@@ -208,7 +201,7 @@ def test_actions_are_drawn_from_the_policy(
 
 
 @pytest.fixture(scope="module")
-def branching(quick_compiler: None, policy: Policy) -> list[dict[str, np.ndarray]]:
+def branching(in_a_hurry: None, policy: Policy) -> list[dict[str, np.ndarray]]:
     """Three rollouts of a run whose gradient is estimated symmetrically, of the same slot and generation."""
     run = settings(**SETTINGS.model_dump() | {"rkhs": {"capacity": 6, "estimate": "symmetric"}})
     collector = Collector(run, HOLDER, PolicyReader(run))

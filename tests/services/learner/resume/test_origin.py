@@ -22,6 +22,8 @@ from services.learner.training.checkpoints import write_checkpoint
 from services.learner.training.snapshots import make_snapshot
 from services.learner.training.trainer import Trainer
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 
 @pytest.fixture(scope="module")
 def states(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, np.ndarray]]]:

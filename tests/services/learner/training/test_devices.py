@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from quick_compiler import FLAGS
 
 from common.config.settings import RunSettings
 from common.errors import SettingsError
@@ -48,7 +49,8 @@ def test_two_devices_compute_what_one_does() -> None:
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join(paths),
         "JAX_PLATFORMS": "cpu",
-        "XLA_FLAGS": "--xla_force_host_platform_device_count=2",
+        "JAX_DISABLE_MOST_OPTIMIZATIONS": "1",
+        "XLA_FLAGS": " ".join(["--xla_force_host_platform_device_count=2", *FLAGS]),
     }
     done = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]

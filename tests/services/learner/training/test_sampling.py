@@ -13,6 +13,8 @@ from common.wire.rollout import Rollout
 from services.learner.training.sampling import sampling_problem
 from services.learner.training.trainer import Trainer
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 
 @pytest.mark.parametrize(
     ("log_std", "told"),
