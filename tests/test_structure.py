@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import subprocess
 import sys
 import tomllib
@@ -102,12 +103,12 @@ LONGEST_FILE = 300
 LONGEST_FUNCTION = 60
 
 
-def product_modules() -> Iterator[tuple[str, str, ast.Module]]:
+@functools.cache
+def product_modules() -> tuple[tuple[str, str, ast.Module], ...]:
     """Path, text and syntax tree of every module that is installed."""
-    for folder in PRODUCT:
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            text = path.read_text("utf-8")
-            yield str(path.relative_to(ROOT)), text, ast.parse(text)
+    paths = [path for folder in PRODUCT for path in sorted((ROOT / folder).rglob("*.py"))]
+    texts = [path.read_text("utf-8") for path in paths]
+    return tuple((str(path.relative_to(ROOT)), text, ast.parse(text)) for path, text in zip(paths, texts, strict=True))
 
 
 def test_files_and_functions_are_of_a_size_that_a_reader_can_hold() -> None:
