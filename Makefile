@@ -36,7 +36,7 @@ train: setup  ## train; TASK=hopper LEARNER=ppo STEPS=3e6 ACTORS=1 SEED=0 PHYSIC
 test: setup  ## all tests that fit in a few minutes
 	@$(BIN)/python -m pytest -n 2 --dist loadfile
 
-test-runs: setup  ## whole runs: async, an actor or the learner killed, Ctrl-C
+test-runs: setup  ## whole runs: twice with one seed, async, an actor or the learner killed, Ctrl-C
 	@$(BIN)/python -m pytest tests/whole_runs -p no:randomly -rA --tb=short
 
 test-docs: setup  ## every reskpn command of README and docs, typed page by page with small sizes
