@@ -46,6 +46,7 @@ class ShownRun(Protocol):
 
     def poll(self) -> bool: ...
     def fresh_report(self) -> RunReport | None: ...
+    def join(self) -> None: ...
 
 
 class RunCollection:
@@ -70,6 +71,16 @@ class RunCollection:
 
     def start(self) -> None:
         self._thread.start()
+
+    def join(self) -> None:
+        """Wait for the threads to end, which they do when `stop` is set.
+
+        A thread that is still inside the transport when Python ends would abort the process.
+        """
+        self._wake.set()
+        self._thread.join()
+        for run in self._runs.values():
+            run.join()
 
     def add(self, run: ShownRun) -> None:
         """Show a run that is in none of the folders."""
@@ -141,7 +152,7 @@ class RunCollection:
             (run for run in self._runs.values() if isinstance(run, FollowedRun)), key=lambda run: run.touched_s
         )
         for run in kept[: max(0, len(kept) - KEPT)]:
-            if time.monotonic() - run.touched_s > IDLE_S:
+            if time.monotonic() - run.touched_s > IDLE_S and not run.linked:
                 del self._runs[run.identity]
 
 

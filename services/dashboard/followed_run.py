@@ -69,6 +69,16 @@ class FollowedRun:
             self._link.start()
         return more
 
+    @property
+    def linked(self) -> bool:
+        """True while a thread asks the run's learner."""
+        return self._link is not None and not self._link.ended
+
+    def join(self) -> None:
+        """Wait for the end of the thread that asks the learner."""
+        if self._link is not None:
+            self._link.join()
+
     # -- the log -------------------------------------------------------------------------------------------
 
     def _read(self) -> bool:

@@ -75,6 +75,9 @@ class LiveRun:
         self.view.show(state)
         return False
 
+    def join(self) -> None:
+        """Nothing to wait for: `WatchedLearner` has the thread."""
+
     def _note(self, level: str, told: str) -> None:
         self.view.add("/event", {"level": level, "text": told}, time.time_ns())
 
@@ -103,6 +106,10 @@ class WatchedLearner:
 
     def start(self) -> None:
         self._link.start()
+
+    def join(self) -> None:
+        """Wait for the end of the thread, once `stop` is set."""
+        self._link.join()
 
     def _on_report(self, report: RunReport | None) -> None:
         if report is None:

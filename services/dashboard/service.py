@@ -76,9 +76,9 @@ def serve(listening: socket.socket, served: Served, stop: threading.Event, ready
     check_paths(served.paths)
     report = None if served.endpoint is None else first_report(served.endpoint, served.credentials)
     runs = RunCollection(served.paths, served.credentials, stop)
+    threads: list[RunCollection | WatchedLearner] = [runs]
     if served.endpoint is not None and report is not None:
-        WatchedLearner(served.endpoint, served.credentials, report, runs.add, stop).start()
-    runs.start()
+        threads.append(WatchedLearner(served.endpoint, served.credentials, report, runs.add, stop))
     port = listening.getsockname()[1]
     guarded = Guard(Page(runs, stop).application(), served.token, own_names() | served.names, port)
     config = uvicorn.Config(
@@ -95,7 +95,14 @@ def serve(listening: socket.socket, served: Served, stop: threading.Event, ready
         limit_concurrency=128,
         h11_max_incomplete_event_size=16384,
     )
-    asyncio.run(_serve(_Server(config), listening, stop, ready))
+    for each in threads:
+        each.start()
+    try:
+        asyncio.run(_serve(_Server(config), listening, stop, ready))
+    finally:
+        stop.set()
+        for each in threads:
+            each.join()
 
 
 class _Server(uvicorn.Server):
