@@ -8,6 +8,7 @@ import os
 # As `factorise_on_one_thread` sets it in a run, before anything loads OpenBLAS: tests compute a run's states again.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -51,6 +52,13 @@ def in_a_hurry() -> Iterator[None]:
 
     with quick_compiler():
         yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _compiled_as_a_user_does(request: pytest.FixtureRequest) -> None:
+    """A module that is in no hurry uses no program of one that was: it may compare bits with another process."""
+    if "in_a_hurry" not in request.fixturenames and "quick_compiler" in sys.modules:
+        sys.modules["quick_compiler"].forget_programs()
 
 
 @pytest.fixture(autouse=True)

@@ -6,6 +6,7 @@ longer than all the rest, and the splitting of a program into modules. Processes
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -16,6 +17,17 @@ from jax._src import compiler
 OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_parallel_codegen_split_count": 1}
 FLAGS = [f"--{name}={str(value).lower()}" for name, value in OPTIONS.items()]
 """The same for a process, in its XLA_FLAGS."""
+
+
+_LEFT = threading.Event()
+"""Set while programs that were compiled in a hurry may lie in JAX's caches."""
+
+
+def forget_programs() -> None:
+    """Let JAX compile anew what it has compiled in a hurry: some of it has other bits."""
+    if _LEFT.is_set():
+        jax.clear_caches()
+        _LEFT.clear()
 
 
 @contextmanager
@@ -29,6 +41,7 @@ def quick_compiler() -> Iterator[None]:
 
     jax.config.update("jax_disable_most_optimizations", True)
     compiler.get_compile_options = hurried
+    _LEFT.set()
     try:
         yield
     finally:
