@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from reskpn.study.drawing.style import line_style
-from reskpn.study.drawing.tables import aggregates
+from reskpn.study.drawing.tables import aggregates, comparable
 from reskpn.study.groups import Group
 from reskpn.study.statistics import (
     Estimate,
@@ -23,7 +23,8 @@ from reskpn.study.statistics import (
 
 
 def draw_summary(groups: Sequence[Group], reference: Group) -> Figure | None:
-    """Three panels over the tasks that all groups have runs of; None where there are none, or nothing to compare."""
+    """Three panels over the tasks that all comparable groups have runs of; None where nothing can be compared."""
+    groups, reference = comparable(groups, reference)
     strata = aggregates(groups, reference)
     if strata is None or len(groups) < 2:
         return None

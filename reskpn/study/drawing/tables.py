@@ -85,8 +85,9 @@ def aggregate_table(groups: Sequence[Group], reference: Group) -> Table | None:
 
     None where the groups have no task in common.
     """
+    every, (groups, reference) = groups, comparable(groups, reference)
     strata = aggregates(groups, reference)
-    if strata is None:
+    if strata is None or (len(groups) < 2 <= len(every)):
         return None
     rows = []
     for each in groups:
@@ -99,7 +100,25 @@ def aggregate_table(groups: Sequence[Group], reference: Group) -> Table | None:
         f"an untrained policy has 0 and the mean of {reference.label} has 1 on each task; the probability that a run "
         f"is better than one of {reference.label}, the mean over tasks. Tasks: {', '.join(tasks)}."
     )
+    if left_out := [each.label for each in every if each not in groups]:
+        note += f" Left out, without runs of all of these: {', '.join(left_out)}."
     return Table(["", "last tenth", "area", f"P(better than {reference.label})"], rows, note)
+
+
+def comparable(groups: Sequence[Group], reference: Group) -> tuple[list[Group], Group]:
+    """The arms to compare over all tasks, and the one that the others are measured by.
+
+    All arms, where they have a task in common. Else those with runs of every task of the arm that has most, which is
+    the reference then: in a study that is half made, some arms may have been begun on other tasks.
+    """
+    if any(all(each.results.get(task) for each in groups) for task in reference.results):
+        return list(groups), reference
+    widest = max(groups, key=lambda each: len(_tasks_of(each)))
+    return [each for each in groups if _tasks_of(widest) <= _tasks_of(each)], widest
+
+
+def _tasks_of(group: Group) -> set[str]:
+    return {task for task, runs in group.results.items() if runs}
 
 
 def aggregates(groups: Sequence[Group], reference: Group) -> dict[str, dict[str, Strata]] | None:

@@ -13,9 +13,9 @@ from reskpn.study.drawing.curves import common_grid
 from reskpn.study.drawing.document import draw_all, insert
 from reskpn.study.drawing.draw import Drawn, draw_experiment
 from reskpn.study.drawing.side_by_side import draw_side_by_side
-from reskpn.study.drawing.tables import Table, aggregate_table, score_table
+from reskpn.study.drawing.tables import Table, aggregate_table, comparable, score_table
 from reskpn.study.experiments import Drawing, Experiment, load_catalogue
-from reskpn.study.groups import group, series
+from reskpn.study.groups import Group, group, series
 from reskpn.study.planning import plan
 from reskpn.study.store import Store
 from reskpn.study.writing import write_result
@@ -108,6 +108,19 @@ def test_the_reference_has_1(catalogue: dict[str, Experiment], store: Store) -> 
     assert table.rows[0][1].startswith("1.00 ")
     assert table.rows[0][3] == "-"
     assert table.rows[1][3] == "1.00 [1.00, 1.00]"
+
+
+def test_arms_without_a_task_in_common(catalogue: dict[str, Experiment], store: Store) -> None:
+    """Those with the tasks of the widest arm are compared, and the note names the others."""
+    filled(catalogue, store, "rates")
+    slow, fast = group(catalogue["rates"], plan(catalogue["rates"], "smoke", catalogue, store), store)
+    elsewhere = Group("third", "Elsewhere", {"walker2d": fast.results["hopper"], "hopper": []})
+    assert comparable([slow, fast], fast) == ([slow, fast], fast)
+    assert comparable([elsewhere, slow, fast], elsewhere) == ([slow, fast], slow)
+    table = aggregate_table([elsewhere, slow, fast], elsewhere)
+    assert table is not None
+    assert [row[0] for row in table.rows] == ["Slow", "Fast"]
+    assert table.note.endswith("Tasks: hopper, reacher. Left out, without runs of all of these: Elsewhere.")
 
 
 def test_where_no_episode_terminates_the_reward_is_the_measure(catalogue: dict[str, Experiment], store: Store) -> None:
