@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from brax import envs
 from brax.envs.base import Env, State, Wrapper
@@ -57,6 +59,11 @@ class Watched(Wrapper):
         self._reporter.add(self._steps, len(ended), float(ended.sum()))
 
 
+def _replicated(tree: Any, devices: Sequence[jax.Device]) -> Any:
+    """What `jax.device_put_replicated` was: brax 0.14.2 calls it, and jax 0.10 has only its name left."""
+    return jax.tree.map(lambda x: jnp.stack([x] * len(devices)), tree)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.peers.brax_ppo", description=__doc__)
     parser.add_argument("--task", required=True, help="name in brax.envs")
@@ -67,6 +74,7 @@ def main() -> int:
     def watched(env: Env, **options: Any) -> Env:
         return Watched(wrap(env, **options), reporter)
 
+    vars(jax)["device_put_replicated"] = _replicated
     environment = envs.get_environment(given.task, backend="mjx")
     train.train(
         environment,
