@@ -46,7 +46,6 @@ class ShownRun(Protocol):
 
     def poll(self) -> bool: ...
     def fresh_report(self) -> RunReport | None: ...
-    def join(self) -> None: ...
 
 
 class RunCollection:
@@ -80,7 +79,8 @@ class RunCollection:
         self._wake.set()
         self._thread.join()
         for run in self._runs.values():
-            run.join()
+            if isinstance(run, FollowedRun):
+                run.join()
 
     def add(self, run: ShownRun) -> None:
         """Show a run that is in none of the folders."""

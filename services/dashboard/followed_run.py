@@ -64,7 +64,7 @@ class FollowedRun:
         listed = describe_run(self.path)
         summary = read_summary(self.path) if listed is not None and listed.state == "finished" else None
         self.view.show(self._state(listed, summary, reading=more))
-        if listed is not None and listed.state != "finished" and (self._link is None or self._link.ended):
+        if listed is not None and listed.state != "finished" and not self.linked:
             self._link = LearnerLink(self._endpoint, self._credentials, self._on_report, None, self._wanted, self._stop)
             self._link.start()
         return more

@@ -75,9 +75,6 @@ class LiveRun:
         self.view.show(state)
         return False
 
-    def join(self) -> None:
-        """Nothing to wait for: `WatchedLearner` has the thread."""
-
     def _note(self, level: str, told: str) -> None:
         self.view.add("/event", {"level": level, "text": told}, time.time_ns())
 

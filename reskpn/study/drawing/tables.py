@@ -83,7 +83,7 @@ def score_table(groups: Sequence[Group], tasks: Sequence[str], score: Callable[[
 def aggregate_table(groups: Sequence[Group], reference: Group) -> Table | None:
     """Interquartile means over all tasks, normalised, and the probability of improvement on the reference arm.
 
-    None where the groups have no task in common.
+    None where `comparable` leaves no two of several groups.
     """
     every, (groups, reference) = groups, comparable(groups, reference)
     strata = aggregates(groups, reference)
